@@ -54,17 +54,16 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
         )
     # Side by side, the gap across the road counts. For an NPC ahead, the gap along it counts unless it is safe across.
     frame = RoadFrame(run.trace)
-    along, across = (
-        frame.gap_along - frame.safe_along(rules),
-        frame.gap_across - frame.safe_across(rules),
-    )
-    beyond = np.where(
-        frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))
-    ).T
-    is_judged = (~(frame.ahead < 0) | (frame.gap_along.T <= 0)) & frame.is_on_way
+    is_beside = frame.gap_along <= 0
+    along = frame.gap_along - frame.safe_along(rules)
+    across = frame.gap_across - frame.safe_across(rules)
+    beyond = np.where(across < 0, along, np.maximum(along, across))
+    beyond = np.where(is_beside, across, beyond).T
+    is_judged = (~(frame.ahead < 0) | is_beside.T) & frame.is_on_way
     values = np.where(is_judged, beyond, np.inf)
     if values.size and not np.isposinf(values).all():
-        npc = int(np.where(np.isnan(values), -np.inf, values).min(axis=1).argmin())
+        worst = np.where(np.isnan(values), -np.inf, values).min(axis=1)
+        npc = int(worst.argmin())
         check(
             values.min(axis=0),
             name="gap minus safe distance",
@@ -97,12 +96,17 @@ def comfort(
         "lateral_acceleration": lateral_acceleration,
         "lateral_jerk": lateral_jerk,
     }
-    _refuse_odd("comfort", **{name: 0.0 if most is None else most for name, most in asked.items()})
-    ego, hz = run.ego, run.trace.physics_hz
+    for name, most in asked.items():
+        if most is not None:
+            checked_number(most, "comfort", f"{name} to be a finite number, at least 0", least=0.0)
+    ego = run.ego
+    hz = run.trace.physics_hz
     if jerk is not None:
-        check(abs(_change(ego.acceleration, 1.0, hz)), name="jerk", at_most=jerk, unit="m/s^3")
+        mean = _change(ego.acceleration, 1.0, hz)
+        check(abs(mean), name="jerk", at_most=jerk, unit="m/s^3")
     if braking is not None:
-        check(-_change(ego.speed, 2.0, hz), name="braking", at_most=braking, unit="m/s^2")
+        mean = _change(ego.speed, 2.0, hz)
+        check(-mean, name="braking", at_most=braking, unit="m/s^2")
     if lateral_acceleration is not None:
         mean = _change(np.cumsum(ego.lateral_acceleration) / hz, 0.5, hz)
         check(abs(mean), name="lateral acceleration", at_most=lateral_acceleration, unit="m/s^2")
@@ -119,15 +123,11 @@ def stays_on_road(run: Run) -> None:
     check(run.trace.road.to_edge(), name="road edge", at_least=0.0, unit="m")
 
 
-def _refuse_odd(name: str, **given: object) -> None:
-    for each, value in given.items():  # finite numbers of at least 0
-        checked_number(value, name, f"{each} to be a finite number, at least 0", least=0.0)
-
-
 def _change(values: FloatArray, seconds: float, hz: float) -> FloatArray:
     # The mean change per second, in the seconds before each tick. Before its first tick, the signal is constant.
     ticks = round(seconds * hz)
-    before = np.concatenate((np.full(ticks, values[0]), values))[: len(values)]
+    constant = np.full(ticks, values[0])
+    before = np.concatenate((constant, values))[: len(values)]
     # ticks / hz and not seconds, since half a second is not a whole number of ticks at 15 Hz
     change: FloatArray = (values - before) / (ticks / hz)
     return change

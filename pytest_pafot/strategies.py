@@ -82,11 +82,9 @@ def chromosomes(
     Raises:
         ValueError: if no chain is within the bounds.
     """
-    allowed, speeds, lengths = (
-        _cells(cells),
-        _speeds(min_speed, max_speed),
-        _bounds("genes", min_genes, max_genes),
-    )
+    allowed = _cells(cells)
+    speeds = _speeds(min_speed, max_speed)
+    lengths = _bounds("genes", min_genes, max_genes)
     in_lanes = _in_lanes(instructions, speeds, min_genes, max_genes)
 
     @st.composite
@@ -142,11 +140,10 @@ def scenarios(
     kinds = named_vehicles(tuple(vehicles))
     if traffic not in STYLES:
         raise ValueError(f"traffic: expected one of {', '.join(STYLES)}, received {traffic!r:.100}")
-    allowed, speeds = (
-        _cells(cells),
-        _speeds(max(min_speed, STYLES[traffic].least_speed(max_speed)), max_speed),
-    )
-    lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
+    allowed = _cells(cells)
+    speeds = _speeds(max(min_speed, STYLES[traffic].least_speed(max_speed)), max_speed)
+    lengths = _bounds("genes", min_genes, max_genes)
+    counts = _bounds("npcs", min_npcs, max_npcs, 8)
     in_lanes = _in_lanes(instructions, speeds, min_genes, max_genes)
     if lanes < 1:
         raise ValueError(f"lanes: expected at least 1, received {lanes}")
@@ -169,9 +166,19 @@ def scenarios(
     @st.composite
     def build(draw: st.DrawFn) -> Scenario:
         lane = draw(st.sampled_from(usable))
-        cells = {"starts": starts[lane], "allowed": allowed}
-        npcs = _chains(draw, draw(counts), draw(lengths), **cells, speeds=speeds, in_lanes=in_lanes)
+        npcs = _chains(
+            draw,
+            draw(counts),
+            draw(lengths),
+            starts=starts[lane],
+            allowed=allowed,
+            speeds=speeds,
+            in_lanes=in_lanes,
+        )
         seed = draw(st.integers(0, 2**16 - 1))
+        vehicles = kinds * len(npcs)
+        if len(kinds) > 1:
+            vehicles = tuple(draw(st.sampled_from(kinds)) for _ in npcs)
         return Scenario(
             npcs=npcs,
             seed=seed,
@@ -179,9 +186,7 @@ def scenarios(
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
             traffic=traffic,
-            vehicles=tuple(
-                draw(st.sampled_from(kinds)) if len(kinds) > 1 else kinds[0] for _ in npcs
-            ),
+            vehicles=vehicles,
         )
 
     return build()
@@ -209,14 +214,12 @@ def _chains(
     for _ in range(genes - 1):
         # The NPCs move to free cells one after another, so that "stay" is always possible. The order decides which NPC
         # can follow another one along the ring.
-        order = (
-            range(on_grid) if on_grid < 2 or not draw(st.booleans()) else reversed(range(on_grid))
-        )
+        order = list(range(on_grid))
+        if on_grid >= 2 and draw(st.booleans()):
+            order.reverse()
         for npc in order:
-            moves = [
-                held[npc],
-                *(c for c in held[npc].neighbours if c in allowed and c not in held),
-            ]
+            free = [cell for cell in held[npc].neighbours if cell in allowed and cell not in held]
+            moves = [held[npc], *free]
             held[npc] = draw(st.sampled_from(moves))
         rows.append(list(held))
     columns = zip(*rows, strict=True)
@@ -227,7 +230,10 @@ def _chains(
 
 
 def _in_lanes(
-    instructions: str, speeds: SearchStrategy[float], min_genes: int, max_genes: int
+    instructions: str,
+    speeds: SearchStrategy[float],
+    min_genes: int,
+    max_genes: int,
 ) -> SearchStrategy[Chromosome | None]:
     # None means an NPC with Position-Instructions, towards which examples shrink.
     gene = st.builds(LaneInstruction, st.sampled_from(SHIFTS), speeds)
@@ -241,7 +247,8 @@ def _in_lanes(
 
 
 def _speeds(low: float, high: float) -> SearchStrategy[float]:
-    first, last = round(low * SPEED_STEPS_PER_MPS), round(high * SPEED_STEPS_PER_MPS)
+    first = round(low * SPEED_STEPS_PER_MPS)
+    last = round(high * SPEED_STEPS_PER_MPS)
     if not 0 <= first <= last:
         raise ValueError(
             f"min_speed, max_speed: expected 0 <= min_speed <= max_speed, received {low!r} and {high!r}"
@@ -249,7 +256,9 @@ def _speeds(low: float, high: float) -> SearchStrategy[float]:
 
     def speed(step: int, exact: bool) -> float:
         whole = -(-step // SPEED_STEPS_PER_MPS) * SPEED_STEPS_PER_MPS
-        return (step if exact or whole > last else whole) / SPEED_STEPS_PER_MPS
+        if not exact and whole <= last:
+            step = whole
+        return step / SPEED_STEPS_PER_MPS
 
     # all examples shrink to round speeds
     return st.builds(speed, st.integers(first, last), st.booleans())
@@ -264,8 +273,10 @@ def _cells(cells: Iterable[int]) -> list[Cell]:
 
 def _bounds(name: str, low: int, high: int, most: int | None = None) -> SearchStrategy[int]:
     if not 1 <= low <= high or (most is not None and high > most):
+        expected = f"1 <= min_{name} <= max_{name}"
+        if most is not None:
+            expected = f"{expected} <= {most}"
         raise ValueError(
-            f"min_{name}, max_{name}: expected 1 <= min_{name} <= max_{name}{'' if most is None else f' <= {most}'}, "
-            f"received {low!r} and {high!r}"
+            f"min_{name}, max_{name}: expected {expected}, received {low!r} and {high!r}"
         )
     return st.integers(low, high)

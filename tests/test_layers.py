@@ -76,15 +76,14 @@ QUESTIONS = {
     # how far ahead is along the ego's heading there; and whether NPCs can cross
     "algorithms/evaluation.py": 1,
     "algorithms/space.py": 3,  # whether NPCs can cross at all
-    "world/base_world.py": 1,  # hands the straight road to whoever draws starts on it
+    # hands the straight road to whoever draws starts on it; an error about crossings where there are none
+    "world/base_world.py": 2,
     # highway-env's vehicles have two compiled classes, by their lanes
     "world/driving/vehicles.py": 3,
     "world/engines/policies.py": 1,  # the same
     "world/gym_environment.py": 6,  # what options of highway-env do, and which routes it plans
     "world/gym_world.py": 2,  # how long runs of such an environment are, and who makes its policy
     "world/kernel/loop.py": 4,  # a C flag, because it is read at each tick
-    "world/roads/survey.py": 1,  # whether a lane has points
-    "world/run_config.py": 1,  # an error about crossings where there are none
 }
 """For each file the number of lines that match :data:`QUESTION`. Numbers here only fall: ask the road itself."""
 

@@ -57,7 +57,9 @@ class RandomManoeuvreSearch(GenerationalSearch[GenerationState]):
         return GenerationState()
 
     def propose(
-        self, state: GenerationState, rng: Generator
+        self,
+        state: GenerationState,
+        rng: Generator,
     ) -> tuple[GenerationState, Iterable[Scenario]]:
         space: Any = self.space.sliced(self.slices)
         return state, (sample_manoeuvres(space, rng) for _ in range(self.population))
@@ -104,11 +106,8 @@ def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
     """
     made_by = _named(given) if isinstance(given, str) else given
     _check_class(made_by)
-    said = {
-        each.name: getattr(made_by, each.name)
-        for each in fields(AlgorithmClass)
-        if hasattr(made_by, each.name)
-    }
+    names = [each.name for each in fields(AlgorithmClass) if hasattr(made_by, each.name)]
+    said = {name: getattr(made_by, name) for name in names}
     return AlgorithmClass(made_by=made_by, **said)
 
 
@@ -132,14 +131,14 @@ def _check_class(given: Any) -> None:
             f"algorithm: expected one of {', '.join(ALGORITHMS)}, a class or module:Class, but received {given!r:.100}."
             " Pass the class itself, not an instance. The search calls the class with the space."
         )
-    name = getattr(given, "name", None)
     if given is RandomSearch:
         return
-    missing = [
-        method for method in ("start", "ask", "tell") if not callable(getattr(given, method, None))
-    ]
+    name = getattr(given, "name", None)
+    methods = ("start", "ask", "tell")
+    missing = [method for method in methods if not callable(getattr(given, method, None))]
     missing += sorted(getattr(given, "__abstractmethods__", ()))
-    missing += [] if isinstance(name, str) else ["name"]
+    if not isinstance(name, str):
+        missing.append("name")
     if missing:
         raise ValueError(
             f"algorithm: expected a class with name, start, ask and tell, but {given.__name__} lacks "

@@ -16,25 +16,23 @@ from pytest_pafot.model.instructions import (
     SPEED_STEPS_PER_MPS,
     Act,
     CrossingInstruction,
+    pick,
 )
 from pytest_pafot.model.scenario import Chromosome
 
 # Acts that are sampled. ``late`` is not, because it often leaves unclear which vehicle had to wait.
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
 PASSES = 0.7  # fraction of the crossing NPCs that drive through their zone without stopping
-# Probability of each kind of slot. "Just after" is most likely, because it tests an ego that hesitates.
-SLOT_SHARES = {
-    "well before": 0.1,
-    "just before": 0.2,
-    "together": 0.2,
-    "just after": 0.3,
-    "well after": 0.2,
-}
+# Probability of each kind of slot: well before the ego, just before it, together with it, just after it and well after
+# it. "Just after" is most likely, because it tests an ego that hesitates.
+SLOT_SHARES = (0.1, 0.2, 0.2, 0.3, 0.2)
 # lowest target speed of a crossing NPC [m/s]; slower NPCs rarely arrive at their zone
 SLOWEST = 3.0
 # Probabilities that a variation moves the slot, changes the speed, or changes the act. Otherwise, a new instruction is
 # sampled.
-SLOT_CHANGE, SPEED_CHANGE, ACT_CHANGE = 0.5, 0.25, 0.1
+SLOT_CHANGE = 0.5
+SPEED_CHANGE = 0.25
+ACT_CHANGE = 0.1
 SHIFT = 0.8  # standard deviation of the time by which a variation moves a slot [s]
 ATTEMPTS = 30  # attempts to sample an instruction that does not conflict with other NPCs
 # attempts to sample an instruction that fits its path, before an error is raised
@@ -60,10 +58,12 @@ class CrossingTraffic:
             ValueError: if almost no instruction fits.
         """
         for _ in range(MOST_ATTEMPTS):
-            zones = self.crossings.zones
-            zone = zones[int(rng.integers(len(zones)))].way
+            zone = pick(self.crossings.zones, rng).way
             instruction = CrossingInstruction(
-                zone, sample_slot(rng), self._speed(zone, rng), self._act(rng)
+                zone,
+                sample_slot(rng),
+                self._speed(zone, rng),
+                self._act(rng),
             )
             if self.crossings.fits(instruction):
                 return instruction
@@ -76,27 +76,35 @@ class CrossingTraffic:
         """Change the slot, speed or act, or sample a new instruction. The result may not fit its path."""
         share = rng.random()
         if share < SLOT_CHANGE:
-            step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (
-                1 if rng.integers(2) else -1
-            )
+            step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND))
+            if not rng.integers(2):
+                step = -step
             slot = instruction.slot + step / SLOT_STEPS_PER_SECOND
-            return replace(instruction, slot=_tenths(min(max(slot, -LARGEST_SLOT), LARGEST_SLOT)))
+            slot = min(max(slot, -LARGEST_SLOT), LARGEST_SLOT)
+            return replace(instruction, slot=_tenths(slot))
         if share < SLOT_CHANGE + SPEED_CHANGE:
             return replace(instruction, speed=self._speed(instruction.zone, rng))
         if share < SLOT_CHANGE + SPEED_CHANGE + ACT_CHANGE:
             others = [act for act in ACTS if act != instruction.act]
-            return replace(instruction, act=others[int(rng.integers(len(others)))])
+            return replace(instruction, act=pick(others, rng))
         return self.sample(rng)
 
     def first_with_room(
-        self, others: Sequence[CrossingInstruction], propose: Callable[[], CrossingInstruction]
+        self,
+        others: Sequence[CrossingInstruction],
+        propose: Callable[[], CrossingInstruction],
     ) -> CrossingInstruction | None:
         """Return the first of 30 proposals for which :meth:`has_room` is True, or None."""
-        proposals = (propose() for _ in range(ATTEMPTS))
-        return next((each for each in proposals if self.has_room(each, others)), None)
+        for _ in range(ATTEMPTS):
+            proposal = propose()
+            if self.has_room(proposal, others):
+                return proposal
+        return None
 
     def has_room(
-        self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]
+        self,
+        instruction: CrossingInstruction,
+        others: Sequence[CrossingInstruction],
     ) -> bool:
         """Return whether an instruction fits its path and does not conflict with ``others``."""
         return self.crossings.fits(instruction) and not any(
@@ -104,31 +112,27 @@ class CrossingTraffic:
         )
 
     def without_conflicts(
-        self, npcs: Sequence[Chromosome], rng: Generator
-    ) -> tuple[Chromosome, ...]:
-        """Return the chains after resolving conflicts between crossing NPCs.
+        self,
+        npcs: Sequence[Chromosome],
+        rng: Generator,
+    ) -> dict[int, Chromosome]:
+        """Return the chains after resolving conflicts between crossing NPCs, by their indices in ``npcs``.
 
         NPCs that fit nowhere are omitted. If there is no conflict, no random number is used.
         """
-        return tuple(chain for _, chain in self.numbered_without_conflicts(npcs, rng))
-
-    def numbered_without_conflicts(
-        self, npcs: Sequence[Chromosome], rng: Generator
-    ) -> list[tuple[int, Chromosome]]:
-        """Return the chains of :meth:`without_conflicts`, each with its index in ``npcs``."""
-        kept: list[tuple[int, Chromosome]] = []
+        kept: dict[int, Chromosome] = {}
         told: list[CrossingInstruction] = []
         for npc, chain in enumerate(npcs):
             first = chain[0]
             if not first.crosses and len(kept) - len(told) < self.most_on_grid:
-                kept.append((npc, chain))
+                kept[npc] = chain
                 continue
             # If no start cell is left for an NPC, it crosses instead.
             wanted = cast("CrossingInstruction", first) if first.crosses else self.sample(rng)
             found = self._room_for(wanted, told, rng)
             if found is not None:
                 told.append(found)
-                kept.append((npc, (found,)))
+                kept[npc] = (found,)
         return kept
 
     def _room_for(
@@ -144,18 +148,12 @@ class CrossingTraffic:
         another = self.first_with_room(others, lambda: replace(instruction, slot=sample_slot(rng)))
         if another is None:
             another = self.first_with_room(others, lambda: self.sample(rng))
-        if another is None:
-            last = replace(instruction, slot=LARGEST_SLOT, act="pass")
-            another = last if self.has_room(last, others) else None
-        return another
-
-    def speeds(self, zone: str) -> list[float]:
-        """Return the target speeds [m/s] at which an NPC can arrive together with the ego."""
-        low, high = self._bounds(zone)
-        speeds = (max(step, 1) / SPEED_STEPS_PER_MPS for step in range(low, high + 1))
-        return [
-            speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))
-        ]
+        if another is not None:
+            return another
+        last = replace(instruction, slot=LARGEST_SLOT, act="pass")
+        if self.has_room(last, others):
+            return last
+        return None
 
     def _speed(self, zone: str, rng: Generator) -> float:
         low, high = self._bounds(zone)
@@ -165,30 +163,25 @@ class CrossingTraffic:
         """Return the limits on the target speed on a path, in steps of 0.1 m/s."""
         way = self.crossings.ways[zone]
         # The speed of the fastest section before the exit of the zone limits the target speed.
-        allowed = float(way.speeds[: math.ceil(way.zone.npc[1] / STEP) + 1].max())
-        high = math.floor(min(self.high, allowed) * SPEED_STEPS_PER_MPS + 1e-6)
-        return min(round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS), high), high
+        points = math.ceil(way.zone.npc[1] / STEP) + 1
+        allowed = min(self.high, float(way.speeds[:points].max()))
+        high = math.floor(allowed * SPEED_STEPS_PER_MPS + 1e-6)
+        low = round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS)
+        return min(low, high), high
 
     def _act(self, rng: Generator) -> Act:
         if rng.random() < PASSES:
             return "pass"
-        return ACTS[1 + int(rng.integers(len(ACTS) - 1))]
+        return pick(ACTS[1:], rng)
 
 
 def sample_slot(rng: Generator) -> float:
     """Sample a slot [s]."""
-    name = rng.choice(list(SLOT_SHARES), p=list(SLOT_SHARES.values()))
+    kind = rng.choice(len(SLOT_SHARES), p=SLOT_SHARES)
     # The square makes longer times rarer.
     far = 1 + (LARGEST_SLOT - 1) * rng.random() ** 2
     near = int(rng.integers(1, SLOT_STEPS_PER_SECOND)) / SLOT_STEPS_PER_SECOND
-    slots = {
-        "well before": -far,
-        "just before": -near,
-        "together": 0.0,
-        "just after": near,
-        "well after": far,
-    }
-    return _tenths(slots[name])
+    return _tenths([-far, -near, 0.0, near, far][kind])
 
 
 def _tenths(slot: float) -> float:

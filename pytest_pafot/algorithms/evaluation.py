@@ -11,9 +11,9 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from pytest_pafot.algorithms.space import repaired
-from pytest_pafot.criticality import Encounters, min_gap, time_advantage, ttc
+from pytest_pafot.criticality import min_gap, time_advantage, ttc
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace, X, Y
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace
 from pytest_pafot.support.text import plural
 
 # A sort key for runs: eligible, failing, fitness. The first element that differs decides; greater is worse for the ego.
@@ -153,40 +153,46 @@ class Evaluation:
         return next(enough, longest)
 
 
+Population = tuple[Evaluation, ...]
+
+
 def has_interaction(trace: Trace) -> bool:
     """Return whether an NPC gave the ego a reason to react."""
     # Reasons are a collision, a short headway or gap in the ego's lane, and a close crossing.
     if trace.outcome is Outcome.COLLISION:
         return True
-    columns = (X, Y, HEADING, SPEED, LANE)
-    x, y, heading, speed, lane = (
-        np.ascontiguousarray(trace.states[..., each].T) for each in columns
-    )
+    road = trace.road
+    speed = road.column(SPEED)
+    lane = road.column(LANE)
     # How far each NPC's centre is ahead of the ego's [m], along the ego's heading or, on curved roads, its path.
-    if trace.road.is_straight:
-        ahead = (x[1:] - x[0]) * np.cos(heading[0]) + (y[1:] - y[0]) * np.sin(heading[0])
+    if road.is_straight:
+        heading = road.column(HEADING)[0]
+        along = (road.x[1:] - road.x[0]) * np.cos(heading)
+        ahead = along + (road.y[1:] - road.y[0]) * np.sin(heading)
     else:
-        ahead = Encounters(trace).ahead
-    gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, :1]) / 2
+        ahead = road.ahead
+    lengths = trace.sizes[:, :1]
+    gap = np.abs(ahead) - (lengths[0] + lengths[1:]) / 2
     follower = np.where(ahead >= 0, speed[0], speed[1:])
-    is_close = (lane[1:] == lane[0]) & (
-        gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP)
-    )
-    meets = any(trace.zones) and (time_advantage(trace) < INTERACTION_HEADWAY).any()
-    return bool(is_close.any() or meets)
+    is_near = gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP)
+    if ((lane[1:] == lane[0]) & is_near).any():
+        return True
+    return any(trace.zones) and bool((time_advantage(trace) < INTERACTION_HEADWAY).any())
 
 
 def ended_by(trace: Trace) -> str:
     """Return why a run ended early without a collision, or an empty string if it did not."""
+    ended = trace.ended
     # If highway-env itself ends a run, as in its merges and intersections, the road ends there.
-    is_own = not trace.ended.startswith("highway_env.")
-    is_cut = trace.outcome in LEAVING and (
-        trace.ended or trace.off_road_tick in (None, trace.ticks)
-    )
-    if is_own and trace.ended:
-        return trace.ended
-    # without the module
-    return (".".join(trace.ended.split(".")[-2:]) or LEAVING[trace.outcome]) if is_cut else ""
+    if ended and not ended.startswith("highway_env."):
+        return ended
+    if trace.outcome not in LEAVING:
+        return ""
+    if ended:
+        return ".".join(ended.split(".")[-2:])  # without the module
+    if trace.off_road_tick in (None, trace.ticks):
+        return LEAVING[trace.outcome]
+    return ""
 
 
 # Results of earlier runs of a search, so that none of the last ten thousand runs is simulated twice.
@@ -208,7 +214,10 @@ class EvaluationCache:
     """
 
     def __init__(
-        self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False
+        self,
+        evaluations: Iterable[Evaluation] = (),
+        *,
+        seeds_matter: bool = False,
     ) -> None:
         self._seeds_matter = seeds_matter
         # by key, then by the seed if it matters
@@ -223,28 +232,24 @@ class EvaluationCache:
         """Add a run to the cache. If several runs have the same key, the first one is kept."""
         if evaluation.depth not in self._depths:
             self._depths = sorted([*self._depths, evaluation.depth])
-        own = [
-            (key, need)
-            for key, need in self._places(evaluation)
-            if need not in self._evaluations.get(key, {})
-        ]
-        for key, needed in own:
-            self._evaluations.setdefault(key, {})[needed] = evaluation
+        own = []
+        for key, needed in self._places(evaluation):
+            known = self._evaluations.setdefault(key, {})
+            if needed not in known:
+                known[needed] = evaluation
+                own.append((key, needed))
         self._runs.append(own)
 
     def _places(self, evaluation: Evaluation) -> list[_Place]:
         """Return a run's keys, made from its executed and its requested chains."""
-        depth = evaluation.depth
-        asked = driven = plain_chains(evaluation.scenario)
-        if evaluation.executed is not evaluation.scenario:
-            driven = plain_chains(evaluation.executed)
-        seed = evaluation.scenario.seed if self._seeds_matter else None
-        keys = (
-            [(driven, seed)]
-            if asked == driven
-            else [(driven, seed), (asked, evaluation.scenario.seed)]
-        )
-        return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
+        scenario = evaluation.scenario
+        asked = plain_chains(scenario)
+        driven = plain_chains(evaluation.executed)
+        seed = scenario.seed if self._seeds_matter else None
+        places: list[_Place] = [(_key(scenario, driven, evaluation.depth), seed)]
+        if asked != driven:
+            places.append((_key(scenario, asked, evaluation.depth), scenario.seed))
+        return places
 
     def forget(self, room: int = EVALUATIONS) -> None:
         """Remove the oldest runs until at most ``room`` are left."""
@@ -274,9 +279,8 @@ class EvaluationCache:
                 # them.
                 mixed = [driven[:depth] + own[depth:] for driven, own in pairs]
                 # The first of these genes may need repair, because it now follows other cells than those requested.
-                return replace(
-                    known, scenario=scenario, executed=repaired(mixed, scenario.seed, scenario)
-                )
+                executed = repaired(mixed, scenario.seed, scenario)
+                return replace(known, scenario=scenario, executed=executed)
         return None
 
 
@@ -287,15 +291,19 @@ def plain_chains(scenario: Scenario) -> Chains:
 
 def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:
     # A run with a fixed duration continues after the last gene of a chain. A longer chain would give another run.
-    ends = 0 if all(len(chain) == len(chains[0]) for chain in chains) else scenario.genes
-    start = (
+    ends = 0
+    if any(len(chain) != len(chains[0]) for chain in chains):
+        ends = scenario.genes
+    return (
         scenario.ego_lane,
         scenario.ego_speed,
         scenario.gene_seconds,
         scenario.traffic,
         scenario.vehicles,
+        ends,
+        depth,
+        *[chain[:depth] for chain in chains],
     )
-    return (*start, ends, depth, *[chain[:depth] for chain in chains])
 
 
 # Why a search ended: all generations or runs are done, its time is up, or the caller stopped it.
@@ -385,6 +393,7 @@ class PlanFinished:
 # The events that an algorithm returns from `tell`.
 AlgorithmEvent = GenerationFinished | NewBest | LocalSearchStarted | LocalSearchFinished | Restarted
 
+Events = tuple[AlgorithmEvent, ...]
 Event = PlanStarted | Evaluated | AlgorithmEvent | PlanFinished  # the events of a search
 
 

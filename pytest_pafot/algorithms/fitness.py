@@ -49,15 +49,16 @@ def risks(trace: Trace) -> tuple[float, float, float, float]:
     # - ET, the time to the collision, becomes 1 - ET / planned duration.
     # 0 if NPCs cross and the ADS fails at its first decision
     planned = criticality.planned_duration(trace)
-    times = (
-        each.post_encroachment_time for each in criticality.passages(trace) if each is not None
-    )
-    encroachment = min((time for time in times if not math.isnan(time)), default=math.inf)
+    late = 0.0
+    if planned:
+        late = 1 - _time_to_collision(trace) / planned
+    times = [each.post_encroachment_time for each in criticality.passages(trace) if each]
+    encroachment = min([time for time in times if not math.isnan(time)], default=math.inf)
     return (
         1 / (1 + criticality.min_ttc(trace) / TAU),
         1 / (1 + criticality.min_gap(trace)),
         max(criticality.max_safety_shortfall(trace), 1 / (1 + encroachment)),
-        1 - _time_to_collision(trace) / planned if planned else 0.0,
+        late,
     )
 
 
@@ -81,11 +82,10 @@ def paper(trace: Trace) -> float:
         return WORST_RANK
     # The paper has no bonus for a collision. The planned duration replaces an infinite METTC, and limits ET.
     # np.minimum propagates NaN, which min() would drop.
-    mettc = float(np.minimum(criticality.mettc(trace), criticality.planned_duration(trace)))
-    distance, safety = (
-        criticality.min_centre_distance(trace),
-        criticality.min_safety_distance(trace),
-    )
+    planned = criticality.planned_duration(trace)
+    mettc = float(np.minimum(criticality.mettc(trace), planned))
+    distance = criticality.min_centre_distance(trace)
+    safety = criticality.min_safety_distance(trace)
     return _never_nan(-(mettc + distance + safety + _time_to_collision(trace)))
 
 
@@ -113,29 +113,31 @@ def av_fuzzer(trace: Trace) -> float:
     count = int(trace.duration * SAMPLES_PER_SECOND + 1e-9) + 1
     samples = [round(sample * trace.physics_hz / SAMPLES_PER_SECOND) for sample in range(count)]
     # The released code continues to sample after an impact, so the tick of the collision is a sample as well.
-    hit = [] if trace.collision is None else [trace.collision.tick]
-    ticks = sorted({min(tick, trace.ticks) for tick in (*samples, *hit)})
+    if trace.collision is not None:
+        samples.append(trace.collision.tick)
+    ticks = sorted({min(tick, trace.ticks) for tick in samples})
     frame = criticality.RoadFrame(trace)
-    ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
-    cos, sin = criticality.Encounters(trace).road
+    ahead = frame.ahead[:, ticks]
+    right = frame.right[:, ticks]
+    cos, sin = trace.road.direction
     heading = trace.ego[:, HEADING]
-    turns = np.abs(np.sin(heading) * cos[0] - np.cos(heading) * sin[0])[ticks] > math.sin(TURNING)
-    distance = np.where(
-        frame.is_on_way[:, ticks],
-        np.hypot(ahead, right),
-        criticality.centre_distance(trace)[ticks].T,
-    )
+    turned = np.sin(heading) * cos[0] - np.cos(heading) * sin[0]
+    turns = np.abs(turned)[ticks] > math.sin(TURNING)
+    centres = criticality.centre_distance(trace)[ticks].T
+    distance = np.where(frame.is_on_way[:, ticks], np.hypot(ahead, right), centres)
     beside = np.abs(right) < BESIDE
     # An NPC behind counts only while the ego changes lanes, which its heading shows.
     in_front = beside & (ahead > CAR_LENGTH) & (ahead < NEAR)
     cut_off = beside & (ahead < -CAR_LENGTH) & (ahead > -NEAR) & turns
     room = distance - CAR_LENGTH
-    front = np.where(in_front, room - braking_distance(trace.ego[ticks, SPEED]), FAR)
-    rear = np.where(cut_off, room - braking_distance(trace.npcs[ticks, :, SPEED].T), FAR)
+    speeds = trace.states[ticks, :, SPEED].T
+    front = np.where(in_front, room - braking_distance(speeds[0]), FAR)
+    rear = np.where(cut_off, room - braking_distance(speeds[1:]), FAR)
     least_distance = min(float(distance.min()), FAR)
     least_room = float(np.minimum(front, rear).min())
     # With a single NPC, the released code fails. Here, the divisor is then 1.
-    return (FAR - 0.5 * least_distance - 0.5 * least_room) / max(len(trace.scenario.npcs) - 1, 1)
+    divisor = max(len(trace.scenario.npcs) - 1, 1)
+    return (FAR - 0.5 * least_distance - 0.5 * least_room) / divisor
 
 
 # The names that `fitness=` accepts.
@@ -207,23 +209,25 @@ def before_impact(trace: Trace) -> Trace:
     if trace.collision is None:
         return trace
     last = max(trace.collision.tick - math.ceil(MANOEUVRE_SECONDS * trace.physics_hz), 0)
-    off_road = trace.off_road_tick is not None and trace.off_road_tick <= last
+    outcome = Outcome.COMPLETED
+    off_road_tick = trace.off_road_tick
+    if off_road_tick is not None and off_road_tick <= last:
+        outcome = Outcome.OFF_ROAD
+    else:
+        off_road_tick = None
     ticks_per_gene = trace.scenario.gene_seconds * trace.physics_hz
+    arrivals = []
+    for genes in trace.arrivals:
+        started = [tick for gene, tick in enumerate(genes) if gene * ticks_per_gene <= last]
+        arrivals.append(tuple(None if tick is None or tick > last else tick for tick in started))
     return replace(
         trace,
-        outcome=Outcome.OFF_ROAD if off_road else Outcome.COMPLETED,
+        outcome=outcome,
         collision=None,
         actions=trace.actions[: bisect_left(trace.decision_ticks, last)],
         decided=trace.decided[: bisect_left(trace.decided, last)],
-        arrivals=tuple(
-            tuple(
-                tick if tick is not None and tick <= last else None
-                for gene, tick in enumerate(genes)
-                if gene * ticks_per_gene <= last
-            )
-            for genes in trace.arrivals
-        ),
-        off_road_tick=trace.off_road_tick if off_road else None,
+        arrivals=tuple(arrivals),
+        off_road_tick=off_road_tick,
         **trace.rows_until(last),
     )
 
@@ -261,14 +265,10 @@ def _function(fitness: object) -> Fitness:
             return _function(referred_to(fitness))
         except ValueError as error:
             raise FitnessError(f"fitness: {error}") from error
-    if isinstance(fitness, str):
-        hint = suggest(fitness, FITNESSES)
+    if not callable(fitness):
+        hint = suggest(fitness, FITNESSES) if isinstance(fitness, str) else ""
         raise FitnessError(
             f"fitness: expected {names} or a function of a Trace, but received {fitness!r}{hint}"
-        )
-    if not callable(fitness):
-        raise FitnessError(
-            f"fitness: expected {names} or a function of a Trace, but received {fitness!r}"
         )
     try:
         signature = inspect.signature(fitness)
@@ -292,19 +292,22 @@ def _name(function: object) -> str:
 def _time_to_collision(trace: Trace) -> float:
     """Return ET [s]: the time to the collision or, without one, the planned duration."""
     planned = criticality.planned_duration(trace)
-    return (
-        min(criticality.execution_time(trace), planned)
-        if trace.outcome == Outcome.COLLISION
-        else planned
-    )
+    if trace.outcome == Outcome.COLLISION:
+        return min(trace.duration, planned)
+    return planned
 
 
 def _never_nan(value: float) -> float:
-    return WORST_RANK if math.isnan(value) else value
+    if math.isnan(value):
+        return WORST_RANK
+    return value
 
 
 def _bounded(value: float) -> float:
     """Return f / (1 + |f|), between -1 and 1. NaN and minus infinity give minus infinity."""
-    if math.isnan(value) or value == WORST_RANK:
+    value = _never_nan(value)
+    if value == math.inf:
+        return 1.0
+    if value == WORST_RANK:
         return WORST_RANK
-    return 1.0 if value == math.inf else value / (1 + abs(value))
+    return value / (1 + abs(value))

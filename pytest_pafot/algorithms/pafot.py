@@ -6,18 +6,19 @@ Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import ClassVar
 
 from numpy.random import Generator
 
 from pytest_pafot.algorithms.evaluation import (
-    AlgorithmEvent,
     Evaluation,
     EvaluationCache,
+    Events,
     GenerationFinished,
     LocalSearchStarted,
     NewBest,
+    Population,
     Restarted,
 )
 from pytest_pafot.algorithms.operators import best_of, breed, elites, improves, mutate, parents
@@ -39,13 +40,13 @@ class PafotState:
     generation: int = 0
     # 0 in the main search; a local search starts at 1, the generation of the mutants
     local_generation: int = 0
-    population: tuple[Evaluation, ...] = ()  # population of the main search
-    local_population: tuple[Evaluation, ...] = ()  # population of the current local search
+    population: Population = ()  # population of the main search
+    local_population: Population = ()  # population of the current local search
     # the best since the last restart; None before the first eligible run
     best: Evaluation | None = None
     restarted_at: int = 0  # the generation whose population was random
     improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
-    kept: tuple[Evaluation, ...] = ()  # evaluated members that the next population keeps
+    kept: Population = ()  # evaluated members that the next population keeps
     fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask returns instead of breeding
     # scenarios under evaluation; None if the next call must be ask
     asked: tuple[Scenario, ...] | None = None
@@ -72,37 +73,36 @@ class PafotSearch:
     is_papers: ClassVar[bool] = True
 
     space: SearchSpace = field(default_factory=SearchSpace)
+    _: KW_ONLY
     # the paper gives no number, but its totals imply 4
-    population: int = field(default=4, kw_only=True)
-    crossover_rate: float = field(default=0.5, kw_only=True)
-    mutation_rate: float = field(default=0.5, kw_only=True)
-    elite_share: float = field(default=0.25, kw_only=True)
+    population: int = 4
+    crossover_rate: float = 0.5
+    mutation_rate: float = 0.5
+    elite_share: float = 0.25
     # With a population of 4, a local search requests 3 mutants and 3 children; the paper's totals imply about 5
     # scenarios.
-    local_generations: int = field(default=1, kw_only=True)
-    local_mutation_factor: float = field(default=1.5, kw_only=True)
-    local_after: int = field(default=2, kw_only=True)
-    restart_after: int = field(default=5, kw_only=True)
+    local_generations: int = 1
+    local_mutation_factor: float = 1.5
+    local_after: int = 2
+    restart_after: int = 5
     # A run is known if the child equals a member of the population, or differs only in genes after the end of the run.
     # In the paper's simulator, another run could show something new. Here, runs are deterministic.
-    breeding_attempts: int = field(default=20, kw_only=True)
+    breeding_attempts: int = 20
 
     def __post_init__(self) -> None:
         if self.population < 2:
             raise ValueError(
                 f"population: expected at least 2, an elite and a child, but received {self.population!r}"
             )
-        rates, factors = (
-            ("crossover_rate", "mutation_rate", "elite_share"),
-            ("local_mutation_factor",),
+        check_parameters(
+            self,
+            rates=("crossover_rate", "mutation_rate", "elite_share"),
+            factors=("local_mutation_factor",),
+            local_generations=0,
+            local_after=0,
+            restart_after=1,
+            breeding_attempts=0,
         )
-        counts = {
-            "local_generations": 0,
-            "local_after": 0,
-            "restart_after": 1,
-            "breeding_attempts": 0,
-        }
-        check_parameters(self, rates=rates, factors=factors, **counts)
         if self.elite_share * self.population > self.population - 1:
             raise ValueError(
                 f"elite_share: expected a fraction that leaves room for a child in a population of {self.population}, "
@@ -120,8 +120,11 @@ class PafotSearch:
         return replace(state, asked=state.fresh, fresh=()), state.fresh
 
     def tell(
-        self, state: PafotState, evaluations: Sequence[Evaluation], rng: Generator
-    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+        self,
+        state: PafotState,
+        evaluations: Sequence[Evaluation],
+        rng: Generator,
+    ) -> tuple[PafotState, Events]:
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
             generation=state.generation,
@@ -140,26 +143,26 @@ class PafotSearch:
         return tuple(sample(self.space, rng) for _ in range(self.population))
 
     def _breed(self, state: PafotState, rng: Generator) -> PafotState:
-        population, crossover_rate, mutation_rate = (
-            state.population,
-            self.crossover_rate,
-            self.mutation_rate,
-        )
+        population = state.population
+        crossover_rate = self.crossover_rate
+        mutation_rate = self.mutation_rate
         if state.local_generation:
             # A local search only mutates (section 3.6: "a mutation-based fuzzing process").
-            population, crossover_rate = state.local_population, 0.0
+            population = state.local_population
+            crossover_rate = 0.0
             mutation_rate = min(1.0, mutation_rate * self.local_mutation_factor)
         kept = elites(population, self.elite_share)
         known = EvaluationCache(population)
         children: list[Scenario] = []
         attempts = self.breeding_attempts * self.population
-        while len(children) < self.population - len(kept):
+        missing = self.population - len(kept)
+        while len(children) < missing:
             # Parents are bred as executed, including the repairs during their runs (section 2.1).
             driven = (parent.executed for parent in parents(population, rng))
             pair = breed(driven, self.space, crossover_rate, mutation_rate, rng)
             children += [child for child in pair if attempts <= 0 or known.recall(child) is None]
             attempts -= 1
-        return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
+        return replace(state, kept=kept, fresh=tuple(children[:missing]))
 
     def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
         """Return a mutant of the incumbent, if possible one that has not been run."""
@@ -170,9 +173,13 @@ class PafotSearch:
         return mutate(incumbent.executed, self.space, rng)
 
     def _after_generation(
-        self, state: PafotState, population: tuple[Evaluation, ...], rng: Generator
-    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
-        generation, candidate = state.generation, best_of(population)
+        self,
+        state: PafotState,
+        population: Population,
+        rng: Generator,
+    ) -> tuple[PafotState, Events]:
+        generation = state.generation
+        candidate = best_of(population)
         state = replace(state, population=population)
         if candidate is not None and improves(candidate, state.best):
             best = NewBest(generation=generation, local_generation=0, evaluation=candidate)
@@ -181,28 +188,33 @@ class PafotSearch:
                 return replace(state, generation=generation + 1), (best,)
             # The local population consists of the incumbent, and of mutants that differ from it by one mutation each.
             known = EvaluationCache([candidate])
-            mutants = tuple(self._mutant(candidate, known, rng) for _ in range(self.population - 1))
-            state = replace(state, local_generation=1, kept=(candidate,), fresh=mutants)
+            mutants = [self._mutant(candidate, known, rng) for _ in range(self.population - 1)]
+            state = replace(state, local_generation=1, kept=(candidate,), fresh=tuple(mutants))
             return state, (best, LocalSearchStarted(generation=generation, incumbent=candidate))
-        if generation - state.improved_at >= self.restart_after:
-            restarted = Restarted(
-                generation=generation + 1, stagnant=generation - state.improved_at
-            )
-            fresh, after = self._random_population(rng), generation + 1
-            return PafotState(
-                generation=after, restarted_at=after, improved_at=after, fresh=fresh
-            ), (restarted,)
-        return replace(state, generation=generation + 1), ()
+        after = generation + 1
+        stagnant = generation - state.improved_at
+        if stagnant < self.restart_after:
+            return replace(state, generation=after), ()
+        fresh = self._random_population(rng)
+        state = PafotState(generation=after, restarted_at=after, improved_at=after, fresh=fresh)
+        return state, (Restarted(generation=after, stagnant=stagnant),)
 
     def _after_local_generation(
-        self, state: PafotState, population: tuple[Evaluation, ...]
-    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
-        if state.local_generation <= self.local_generations:
-            return replace(
-                state, local_generation=state.local_generation + 1, local_population=population
-            ), ()
+        self,
+        state: PafotState,
+        population: Population,
+    ) -> tuple[PafotState, Events]:
+        local_generation = state.local_generation
+        if local_generation <= self.local_generations:
+            after = replace(
+                state,
+                local_generation=local_generation + 1,
+                local_population=population,
+            )
+            return after, ()
         # The best of the local search replaces the incumbent in the main population, if it is better (section 3.6).
-        incumbent, candidate = state.best, best_of(population)
+        incumbent = state.best
+        candidate = best_of(population)
         assert incumbent is not None, "a local search starts from a best"  # noqa: S101
         better = candidate if improves(candidate, incumbent) else None
         best = better or incumbent

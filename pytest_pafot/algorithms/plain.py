@@ -14,6 +14,7 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from itertools import repeat
+from types import MappingProxyType
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from pytest_pafot.findings.finding import IN_MEMORY
@@ -47,7 +48,10 @@ def plain(value: Any) -> Any:
     if kind is tuple or kind is list:
         return [plain(each) for each in value]
     if isinstance(value, float):
-        return float(value) if math.isfinite(value) else repr(float(value))
+        number = float(value)
+        if math.isfinite(number):
+            return number
+        return repr(number)
     if isinstance(value, Enum):
         return value.value
     try:
@@ -57,8 +61,11 @@ def plain(value: Any) -> Any:
             return value.isoformat()
         if is_dataclass(value) and not isinstance(value, type):
             # A field of the type Mapping[str, Any] is JSON-compatible already.
-            parts = ((getattr(value, name), hint) for name, hint in _hints(type(value)).items())
-            return [dict(part) if hint == _PLAIN_ALREADY else plain(part) for part, hint in parts]
+            parts: list[Any] = []
+            for name, hint in _hints(type(value)).items():
+                part = getattr(value, name)
+                parts.append(dict(part) if hint == _PLAIN_ALREADY else plain(part))
+            return parts
         if isinstance(value, Mapping):
             return [[plain(key), plain(each)] for key, each in value.items()]
         if isinstance(value, AbstractSet):
@@ -95,11 +102,9 @@ def _read(kind: Any, data: Any) -> Any:
         if isinstance(data, str) and data in _NO_NUMBERS:
             return _NO_NUMBERS[data]
         raise _refuse("a number", data)
-    if kind is int or kind is str or kind is bool:
+    if kind in _WORDS:
         if type(data) is not kind:
-            raise _refuse(
-                {int: "a whole number", str: "a string", bool: "true or false"}[kind], data
-            )
+            raise _refuse(_WORDS[kind], data)
         return data
     if kind is Scenario:
         try:
@@ -112,7 +117,8 @@ def _read(kind: Any, data: Any) -> Any:
             ) from None
     if kind is Hashable:  # a kind of failure, which is stored as its signature
         kind = Signature
-    origin, inner = get_origin(kind), get_args(kind)
+    origin = get_origin(kind)
+    inner = get_args(kind)
     if origin is Union or origin is types.UnionType:
         if data is None and type(None) in inner:
             return None
@@ -126,7 +132,9 @@ def _read(kind: Any, data: Any) -> Any:
         known = [each.value for each in kind] if is_enum else inner
         if type(data) not in (str, int) or data not in known:
             raise _refuse(f"one of {', '.join(map(str, known))}", data)
-        return kind(data) if is_enum else data
+        if is_enum:
+            return kind(data)
+        return data
 
     if hasattr(kind, "fromisoformat"):
         try:
@@ -140,45 +148,55 @@ def _read(kind: Any, data: Any) -> Any:
 
     # All other types are stored as lists: with a value for each field of a dataclass or each type of a tuple, or with
     # any number of values.
-    names = _hints(kind) if isinstance(kind, type) and is_dataclass(kind) else None
-    kinds: Sequence[Any] | None = None
-    one: Any = None
-    if names is not None:
-        kinds = list(names.values())
-    elif origin is tuple and inner[-1] is not Ellipsis:
-        kinds = inner
-    elif origin in (tuple, frozenset, set):
-        one = inner[0]
-    elif origin in (Mapping, Counter):
-        one = types.GenericAlias(tuple, (inner[0], inner[1] if origin is Mapping else int))
-    else:
-        raise TypeError(
-            f"expected a type whose values can be stored, but received {kind!r}. See pytest_pafot.algorithms.plain."
-        )
-    if type(data) is not list or (kinds is not None and len(data) != len(kinds)):
-        raise _refuse("a list" if kinds is None else f"a list of {len(kinds)} values", data)
-    parts: list[Any] = []
-    try:
-        for each, part in zip(repeat(one) if kinds is None else kinds, data, strict=False):
-            parts.append(_read(each, part))
-    except FieldError as error:  # the error names the part that does not fit
-        separator = "." if error.field and not error.field.startswith("[") else ""
-        place = f"[{len(parts)}]{separator}{error.field}"
-        raise FieldError(
-            field=place, expected=error.expected, received=error.received, fix=error.fix
-        ) from None
-    if names is not None:
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = _hints(kind)
+        parts = _read_each(list(hints.values()), data)
         try:
-            return kind(**dict(zip(names, parts, strict=True)))
+            return kind(**dict(zip(hints, parts, strict=True)))
         except (TypeError, ValueError) as error:
             raise _refuse(f"values that fit together ({error!s:.100})", data) from None
-    return (
-        Counter(dict(parts))
-        if origin is Counter
-        else dict(parts)
-        if origin is Mapping
-        else origin(parts)
+    if origin is tuple and inner[-1] is not Ellipsis:
+        return tuple(_read_each(inner, data))
+    if origin in (tuple, frozenset, set):
+        return origin(_read_each(repeat(inner[0]), data))
+    if origin is Mapping:
+        return dict(_read_each(repeat(types.GenericAlias(tuple, inner)), data))
+    if origin is Counter:
+        pairs = _read_each(repeat(types.GenericAlias(tuple, (inner[0], int))), data)
+        return Counter(dict(pairs))
+    raise TypeError(
+        f"expected a type whose values can be stored, but received {kind!r}. See pytest_pafot.algorithms.plain."
     )
+
+
+# The wording for values of types that are stored as they are.
+_WORDS = MappingProxyType({int: "a whole number", str: "a string", bool: "true or false"})
+
+
+def _read_each(kinds: Sequence[Any] | repeat[Any], data: Any) -> list[Any]:
+    # Read the values of a list, each as its kind. `repeat` allows any number of values.
+    expected = "a list"
+    is_right = type(data) is list
+    if not isinstance(kinds, repeat):
+        expected = f"a list of {len(kinds)} values"
+        is_right = is_right and len(data) == len(kinds)
+    if not is_right:
+        raise _refuse(expected, data)
+    parts: list[Any] = []
+    try:
+        for kind, part in zip(kinds, data, strict=False):
+            parts.append(_read(kind, part))
+    except FieldError as error:  # the error names the part that does not fit
+        place = f"[{len(parts)}]"
+        if error.field and not error.field.startswith("["):
+            place = f"{place}."
+        raise FieldError(
+            field=f"{place}{error.field}",
+            expected=error.expected,
+            received=error.received,
+            fix=error.fix,
+        ) from None
+    return parts
 
 
 def _refuse(expected: str, data: Any) -> FieldError:

@@ -7,17 +7,18 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from numpy.random import Generator as Rng
 
 from pytest_pafot.algorithms.evaluation import (
-    AlgorithmEvent,
     EndReason,
     Evaluated,
     Evaluation,
     EvaluationCache,
     Event,
+    Events,
     GenerationFinished,
     LocalSearchFinished,
     NewBest,
@@ -67,8 +68,11 @@ class Algorithm(Protocol[StateT]):
         """
 
     def tell(
-        self, state: StateT, evaluations: Sequence[Evaluation], rng: Rng
-    ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
+        self,
+        state: StateT,
+        evaluations: Sequence[Evaluation],
+        rng: Rng,
+    ) -> tuple[StateT, Events]:
         """Finish a generation. The evaluations are in the order of its scenarios.
 
         Raises:
@@ -115,18 +119,25 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 
     @abstractmethod
     def propose(
-        self, state: GenerationStateT, rng: Rng
+        self,
+        state: GenerationStateT,
+        rng: Rng,
     ) -> tuple[GenerationStateT, Iterable[Scenario]]:
         """Return the next state and the scenarios of the next generation."""
 
     def learn(
-        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
+        self,
+        state: GenerationStateT,
+        evaluations: Sequence[Evaluation],
+        rng: Rng,
     ) -> GenerationStateT:
         """Return the state after a generation. ``tell`` updates ``best`` and ``generation``."""
         return state
 
     def ask(
-        self, state: GenerationStateT, rng: Rng
+        self,
+        state: GenerationStateT,
+        rng: Rng,
     ) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
@@ -134,29 +145,34 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         return replace(state, asked=asked, proposed=state.proposed + len(asked)), asked
 
     def tell(
-        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
-    ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
+        self,
+        state: GenerationStateT,
+        evaluations: Sequence[Evaluation],
+        rng: Rng,
+    ) -> tuple[GenerationStateT, Events]:
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
-            generation=state.generation, local_generation=0, population=tuple(evaluations), elites=0
+            generation=state.generation,
+            local_generation=0,
+            population=tuple(evaluations),
+            elites=0,
         )
         candidate = best_of(evaluations)
         new = candidate if improves(candidate, state.best) else None
+        generation = state.generation
         learnt = self.learn(state, evaluations, rng)
-        learnt = replace(
-            learnt, generation=state.generation + 1, asked=None, best=new or state.best
-        )
+        learnt = replace(learnt, generation=generation + 1, asked=None, best=new or state.best)
         if new is None:
             return learnt, (finished,)
-        return learnt, (
-            finished,
-            NewBest(generation=state.generation, local_generation=0, evaluation=new),
-        )
+        best = NewBest(generation=generation, local_generation=0, evaluation=new)
+        return learnt, (finished, best)
 
 
 def end_of_local_search(
-    state: SearchState, incumbent: Evaluation, better: Evaluation | None
-) -> tuple[AlgorithmEvent, ...]:
+    state: SearchState,
+    incumbent: Evaluation,
+    better: Evaluation | None,
+) -> Events:
     """Return the events at the end of a local search. ``better`` is its result, or None if that is not better."""
     finished = LocalSearchFinished(
         generation=state.generation,
@@ -166,9 +182,12 @@ def end_of_local_search(
     )
     if better is None:
         return (finished,)
-    return NewBest(
-        generation=state.generation, local_generation=state.local_generation, evaluation=better
-    ), finished
+    best = NewBest(
+        generation=state.generation,
+        local_generation=state.local_generation,
+        evaluation=better,
+    )
+    return best, finished
 
 
 def check_ask(asked: Sequence[object] | None) -> None:
@@ -187,22 +206,15 @@ def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Ev
             "tell: expected a state that ask returned, but received a state in which no scenarios were requested. "
             "Call ask first."
         )
-    check_order("tell", asked, evaluations)
-
-
-def check_order(
-    place: str, scenarios: Sequence[Scenario], evaluations: Sequence[Evaluation]
-) -> None:
-    """Raise a ValueError that starts with ``place`` if evaluations and scenarios do not correspond one to one."""
-    if len(evaluations) != len(scenarios):
+    if len(evaluations) != len(asked):
         raise ValueError(
-            f"{place}: expected {len(scenarios)} evaluations, one per scenario, but received {len(evaluations)}. "
+            f"tell: expected {len(asked)} evaluations, one per scenario, but received {len(evaluations)}. "
             "Evaluate every scenario, including invalid ones."
         )
-    for index, (scenario, evaluation) in enumerate(zip(scenarios, evaluations, strict=True)):
+    for index, (scenario, evaluation) in enumerate(zip(asked, evaluations, strict=True)):
         if evaluation.scenario is not scenario and evaluation.scenario != scenario:
             raise ValueError(
-                f"{place}: expected the evaluation of {scenario} at index {index}, but received the evaluation of "
+                f"tell: expected the evaluation of {scenario} at index {index}, but received the evaluation of "
                 f"{evaluation.scenario}. Pass the evaluations in the order of the scenarios."
             )
 
@@ -211,28 +223,26 @@ MOST = 10_000  # largest population; all scenarios of a generation are in memory
 
 
 def check_parameters(
-    search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int
+    search: Any,
+    *,
+    rates: tuple[str, ...] = (),
+    factors: tuple[str, ...] = (),
+    **least: int,
 ) -> None:
     """Raise a ValueError that names the first parameter that is out of range."""
-    limits: dict[str, tuple[float, float, str]] = dict.fromkeys(
-        rates, (0, 1, "a number from 0 to 1")
-    )
-    limits |= {
-        name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors
-    }
-    limits |= {
-        name: (bound, math.inf, f"a whole number, at least {bound}")
-        for name, bound in least.items()
-    }
-    if "population" in least:
-        limits["population"] = (
-            least["population"],
-            MOST,
-            f"a whole number from {least['population']} to {MOST}",
-        )
+    limits: dict[str, tuple[float, float, str]] = {}
+    for name in rates:
+        limits[name] = 0, 1, "a number from 0 to 1"
+    for name in factors:
+        limits[name] = 0, sys.float_info.max, "a finite number, at least 0"
+    for name, bound in least.items():
+        limits[name] = bound, math.inf, f"a whole number, at least {bound}"
+        if name == "population":
+            limits[name] = bound, MOST, f"a whole number from {bound} to {MOST}"
     for name, (low, high, expected) in limits.items():
-        if not low <= getattr(search, name) <= high:
-            raise ValueError(f"{name}: expected {expected}, but received {getattr(search, name)!r}")
+        value = getattr(search, name)
+        if not low <= value <= high:
+            raise ValueError(f"{name}: expected {expected}, but received {value!r}")
 
 
 class Plan:
@@ -265,11 +275,8 @@ class Plan:
             raise ValueError(
                 "generations, runs: expected at least one of them, but received neither"
             )
-        for name, value, least in (
-            ("generations", generations, 1),
-            ("runs", runs, 1),
-            ("seed", seed, 0),
-        ):
+        given = {"generations": (generations, 1), "runs": (runs, 1), "seed": (seed, 0)}
+        for name, (value, least) in given.items():
             if value is not None and value < least:
                 raise ValueError(
                     f"{name}: expected a whole number, at least {least}, but received {value!r}"
@@ -279,7 +286,12 @@ class Plan:
         self.started = PlanStarted(algorithm=algorithm.name, generations=generations, seed=seed)
         # The totals over all evaluations so far.
         self.sums = PlanFinished(
-            reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0
+            reason="generations",
+            generations=0,
+            evaluated=0,
+            simulated=0,
+            best=None,
+            seconds=0.0,
         )
         self._last_generation = generations or runs or 0
         self._last_run = runs or sys.maxsize
@@ -289,21 +301,21 @@ class Plan:
 
     def _begin(self) -> None:
         self._cache.forget()
-        # each with True if an earlier run provided it
-        self._told: list[tuple[Evaluation, bool]] = []
+        self._told: list[Evaluation] = []
         self._asked: tuple[Scenario, ...] = ()
         if not self.is_over:
             # Each generation has its own random generator, so its scenarios do not depend on earlier random numbers.
             self._rng = rng_of(
-                self.started.seed, self._state.generation, self._state.local_generation
+                self.started.seed,
+                self._state.generation,
+                self._state.local_generation,
             )
             self._state, self._asked = self.algorithm.ask(self._state, self._rng)
 
     @property
     def generation(self) -> int:
         """The number of the current or next generation."""
-        number: int = self._state.generation
-        return number
+        return int(self._state.generation)
 
     @property
     def is_over(self) -> bool:
@@ -330,10 +342,7 @@ class Plan:
         """Return the scenarios of the generation that still need a run, in order."""
         coming = dict.fromkeys(self._asked[len(self._told) :])
         unknown = (each for each in coming if self._cache.recall(each) is None)
-        return [
-            each
-            for each, _ in zip(unknown, range(self._last_run - self.sums.simulated), strict=False)
-        ]
+        return list(islice(unknown, max(self._last_run - self.sums.simulated, 0)))
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
         """Record the evaluation of the next scenario. ``reused`` is True if :meth:`recalled` returned it."""
@@ -350,28 +359,29 @@ class Plan:
         )
         if not reused:
             self._cache.add(evaluation)
-        self._told.append((evaluation, reused))
-        sums = self.sums
-        self.sums = replace(
-            sums,
-            evaluated=sums.evaluated + 1,
-            simulated=sums.simulated + (not reused),
-            best=evaluation if improves(evaluation, sums.best) else sums.best,
-        )
-        return (event, *(self.learn() if self.is_whole else ()))
+            self.sums = replace(self.sums, simulated=self.sums.simulated + 1)
+        self._told.append(evaluation)
+        self.sums = replace(self.sums, evaluated=self.sums.evaluated + 1)
+        self._improve(evaluation)
+        if not self.is_whole:
+            return (event,)
+        return (event, *self.learn())
+
+    def _improve(self, evaluation: Evaluation) -> None:
+        if improves(evaluation, self.sums.best):
+            self.sums = replace(self.sums, best=evaluation)
 
     def learn(self) -> Sequence[Event]:
         """Pass a complete generation to the algorithm, and request the next one."""
-        evaluations = tuple(each for each, _ in self._told)
-        self._state, events = self.algorithm.tell(self._state, evaluations, self._rng)
+        self._state, events = self.algorithm.tell(self._state, tuple(self._told), self._rng)
         happened = []
         for event in events:
             if isinstance(event, Restarted) and event.generation >= self._last_generation:
                 continue  # no generation follows, so there is no restart
             if isinstance(event, GenerationFinished) and event.local_generation == 0:
                 self.sums = replace(self.sums, generations=self.sums.generations + 1)
-            if isinstance(event, NewBest) and improves(event.evaluation, self.sums.best):
-                self.sums = replace(self.sums, best=event.evaluation)
+            if isinstance(event, NewBest):
+                self._improve(event.evaluation)
             happened.append(event)
         self._begin()
         return happened
@@ -380,9 +390,13 @@ class Plan:
         sums = self.sums
         # A generation that the run limit cut short is reported, but the algorithm does not learn from it.
         if reason == "runs" and self._told:
-            population, local = tuple(each for each, _ in self._told), self._state.local_generation
+            local = self._state.local_generation
             yield GenerationFinished(
-                generation=self.generation, local_generation=local, population=population, elites=0
+                generation=self.generation,
+                local_generation=local,
+                population=tuple(self._told),
+                elites=0,
             )
-            sums = replace(sums, generations=sums.generations + (local == 0))
+            if local == 0:
+                sums = replace(sums, generations=sums.generations + 1)
         yield replace(sums, reason=reason, seconds=seconds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
@@ -17,12 +17,12 @@ from pytest_pafot.model.instructions import (
     SPEED_STEPS_PER_MPS,
     Cell,
     Choices,
-    Instruction,
     PositionInstruction,
-    are_valid,
+    chains_of,
     known,
+    pick,
     random_lanes,
-    repair_chains,
+    set_fields,
 )
 from pytest_pafot.model.scenario import (
     EGO_LANE,
@@ -30,9 +30,10 @@ from pytest_pafot.model.scenario import (
     GENE_SECONDS,
     LONGEST_GENE,
     PAPER_SPEED_LIMIT,
+    Chains,
     Chromosome,
     Scenario,
-    positions_of,
+    repaired_chains,
 )
 from pytest_pafot.model.vehicle_type import (
     CAR,
@@ -44,7 +45,7 @@ from pytest_pafot.model.vehicle_type import (
     without_last_cars,
 )
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
-from pytest_pafot.support.text import plural
+from pytest_pafot.support.text import listed, plural
 
 # A limit on a target speed: a factor for the ego's initial speed, and an offset [m/s]. The result is at most the speed
 # limit.
@@ -115,53 +116,61 @@ PATTERNS = (
         "NHTSA: lead vehicle decelerating (the ego leads)",
     ),
 )
-# The steps of each pattern, by its name, with left and right exchanged. Half of the samples use these steps.
-MIRRORED = {
-    pattern.name: tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in pattern.steps)
-    for pattern in PATTERNS
-}
-
 # the lowest and highest target speed on the way from one pattern to the next
 WALKING = ((1.0, -2.0), (1.0, 3.0))
 
 
 def chain_of_patterns(
-    genes: int, ego_speed: float, bounds: tuple[int, int], rng: Generator
+    genes: int,
+    ego_speed: float,
+    choices: Choices,
+    rng: Generator,
 ) -> list[PositionInstruction]:
     """Return a chain of random patterns, joined by steps on the ring."""
     chain: list[PositionInstruction] = []
     while len(chain) < genes:
-        chain = followed_by_pattern(chain, ego_speed, bounds, rng)
+        chain = followed_by_pattern(chain, ego_speed, choices, rng)
     return chain[:genes]
 
 
 def followed_by_pattern(
-    chain: Sequence[PositionInstruction], ego_speed: float, bounds: tuple[int, int], rng: Generator
+    chain: Sequence[PositionInstruction],
+    ego_speed: float,
+    choices: Choices,
+    rng: Generator,
 ) -> list[PositionInstruction]:
     """Extend a chain by a random pattern, preceded by steps along the ring to the pattern's first cell.
 
-    ``ego_speed`` is in m/s, and ``bounds`` limits the speeds in steps of 0.1 m/s.
+    ``ego_speed`` is in m/s, and ``choices`` limits the speeds.
     """
-    pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
-    steps = MIRRORED[pattern.name] if rng.integers(2) else pattern.steps
-    way = (
-        [Step(cell, *WALKING) for cell in _between(chain[-1].cell, steps[0].cell, rng)]
-        if chain
-        else []
-    )
-    return [*chain, *(_sample_gene(step, ego_speed, bounds, rng) for step in (*way, *steps))]
+    pattern = pick(PATTERNS, rng)
+    steps = pattern.steps
+    # half of the samples exchange left and right
+    if rng.integers(2):
+        steps = tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in steps)
+    way: list[Step] = []
+    if chain:
+        cells = _between(chain[-1].cell, steps[0].cell, rng)
+        way = [Step(cell, *WALKING) for cell in cells]
+    way += steps
+    return [*chain, *[_sample_gene(step, ego_speed, choices, rng) for step in way]]
 
 
 def _sample_gene(
-    step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator
+    step: Step,
+    ego_speed: float,
+    choices: Choices,
+    rng: Generator,
 ) -> PositionInstruction:
-    least, most = bounds
-    low, high = (
-        min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, least), most)
-        for share, more in (step.low, step.high)
+    bounds = []
+    for share, more in (step.low, step.high):
+        speed = (share * ego_speed + more) * SPEED_STEPS_PER_MPS
+        bounds.append(int(min(max(speed, choices.low), choices.top)))
+    gene: PositionInstruction = known(
+        PositionInstruction,
+        step.cell,
+        Choices(*bounds).any_speed(rng),
     )
-    speed = int(rng.integers(int(low), int(high) + 1)) / SPEED_STEPS_PER_MPS
-    gene: PositionInstruction = known(PositionInstruction, step.cell, speed)
     return gene
 
 
@@ -169,7 +178,9 @@ def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
     """Return the cells between two cells on the shorter side of the ring."""
     clockwise = (last - first) % 8
     is_clockwise = clockwise < 4 or (clockwise == 4 and bool(rng.integers(2)))
-    steps = range(1, clockwise) if is_clockwise else range(-1, clockwise - 8, -1)
+    steps = range(-1, clockwise - 8, -1)
+    if is_clockwise:
+        steps = range(1, clockwise)
     return [Cell((first - 1 + step) % 8 + 1) for step in steps]
 
 
@@ -187,6 +198,14 @@ Instructions = Literal["cells", "lanes", "both"]
 # The probability that an NPC that does not cross has Lane-Instructions.
 LANE_SHARES: Mapping[Instructions, float] = MappingProxyType(
     {"cells": 0.0, "lanes": 1.0, "both": 0.5}
+)
+# The words for these instructions in the description of a space.
+DESCRIBED: Mapping[Instructions, str] = MappingProxyType(
+    {
+        "cells": "",
+        "lanes": " with LaneInstructions",
+        "both": " with PositionInstructions or LaneInstructions",
+    }
 )
 
 
@@ -239,9 +258,8 @@ class SearchSpace:
         npcs = checked_whole(
             self.npcs, "npcs", "1 to 8 NPCs, at most one per cell", least=1, most=8
         )
-        object.__setattr__(self, "npcs", npcs)
         genes = checked_whole(self.genes, "genes", "at least one instruction per NPC", least=1)
-        object.__setattr__(self, "genes", genes)
+        set_fields(self, npcs=npcs, genes=genes)
         expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
         checked_number(
             self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE
@@ -250,25 +268,22 @@ class SearchSpace:
             self.speed_limit, "speed_limit", "a finite speed of at least 0 m/s", least=0.0
         )
         if self.tick:
-            object.__setattr__(self, "gene_seconds", self._in_ticks(self.gene_seconds))
-            object.__setattr__(
-                self, "gene_durations", tuple(map(self._in_ticks, self.gene_durations))
-            )
+            durations = tuple(map(self._in_ticks, self.gene_durations))
+            seconds = self._in_ticks(self.gene_seconds)
+            set_fields(self, gene_seconds=seconds, gene_durations=durations)
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
             raise ValueError(
                 f"traffic: expected one of {', '.join(STYLES)}, but received {self.traffic!r:.100}"
             )
         if self.vehicles != CARS:  # a fast comparison, since each sampled start makes a space
-            object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
+            set_fields(self, vehicles=named_vehicles(self.vehicles))
         if self.instructions not in LANE_SHARES:
             expected = f"one of {', '.join(LANE_SHARES)}"
             raise ValueError(
                 f"instructions: expected {expected}, but received {self.instructions!r:.100}"
             )
-        if (
-            self.ego_speeds is not None
-            and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf
-        ):
+        low, high = self.ego_speeds or (0.0, 0.0)
+        if not 0 <= low <= high < math.inf:
             raise ValueError(
                 f"ego_speeds: expected the lowest and the highest speed in m/s, but received {self.ego_speeds!r}"
             )
@@ -294,14 +309,13 @@ class SearchSpace:
             "vehicles": [CAR.plain()],
             "tick": 0.0,
         }
-        return {
-            name: value for name, value in data.items() if name not in usual or value != usual[name]
-        }
+        for name, value in usual.items():
+            if data[name] == value:
+                del data[name]
+        return data
 
     @property
     def other_vehicles(self) -> tuple[VehicleType, ...]:
-        if self.vehicles == CARS:
-            return ()
         return tuple(vehicle for vehicle in self.vehicles if vehicle != CAR)
 
     def sample_vehicle(self, rng: Generator) -> VehicleType:
@@ -309,123 +323,105 @@ class SearchSpace:
         # No random number is used if all NPCs are cars.
         if not others or (CAR in self.vehicles and rng.random() >= OTHERS):
             return CAR
-        return others[int(rng.integers(len(others)))]
+        return pick(others, rng)
 
     def with_fitting_vehicles(self, scenario: Scenario) -> Scenario:
         """Replace each vehicle that is too long for the bends in its path with a car."""
-        if not scenario.vehicles or self.crossings is None:
+        if self.crossings is None or not scenario.vehicles or not scenario.crossings:
             return scenario
-        vehicles = tuple(
-            vehicle
-            if each is None or vehicle.can_follow(self.crossings.ways[each.zone].sharpest)
-            else CAR
-            for vehicle, each in zip(scenario.vehicles, scenario.crossings, strict=False)
-        )
-        return scenario if not scenario.crossings else replace(scenario, vehicles=vehicles)
-
-    @property
-    def top_step(self) -> int:
-        """The highest target speed in steps of 0.1 m/s."""
-        return math.floor(self.speed_limit * SPEED_STEPS_PER_MPS + 1e-6)
-
-    @property
-    def low_step(self) -> int:
-        """The lowest target speed in steps of 0.1 m/s."""
-        return min(
-            round(STYLES[self.traffic].least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS),
-            self.top_step,
-        )
+        vehicles = list(scenario.vehicles)
+        for npc, (vehicle, each) in enumerate(zip(vehicles, scenario.crossings, strict=False)):
+            if each and not vehicle.can_follow(self.crossings.ways[each.zone].sharpest):
+                vehicles[npc] = CAR
+        return replace(scenario, vehicles=tuple(vehicles))
 
     @property
     def choices(self) -> Choices:
-        return Choices(self.low_step, self.top_step)
+        top = math.floor(self.speed_limit * SPEED_STEPS_PER_MPS + 1e-6)
+        least = STYLES[self.traffic].least_speed(self.speed_limit)
+        return Choices(min(round(least * SPEED_STEPS_PER_MPS), top), top)
 
     @property
     def described(self) -> str:
         """A description, such as ``4 NPCs in hostile traffic``."""
-        speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
-        speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
-        lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
         npcs = plural(self.npcs, "NPC")
         if self.most_npcs:
             npcs = f"{min(self.least_npcs, *self.most_npcs)} to {max(self.most_npcs)} NPCs"
-        traffic = f" in {STYLES[self.traffic].described}" if self.traffic != PAPERS else ""
-        count = len(self.zones)
-        ways = (
-            f", most of them on paths that cross the ego's path in {plural(count, 'zone')}"
-            if count
-            else ""
-        )
-        how = {
-            "cells": "",
-            "lanes": " with LaneInstructions",
-            "both": " with PositionInstructions or LaneInstructions",
-        }
-        names = [vehicle.name for vehicle in self.other_vehicles]
-        others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
-        others = (
-            f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}"
-            if others
-            else ""
-        )
-        return f"{npcs}{how[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
+        text = npcs + DESCRIBED[self.instructions]
+        if self.traffic != PAPERS:
+            text += f" in {STYLES[self.traffic].described}"
+        if self.zones:
+            count = plural(len(self.zones), "zone")
+            text += f", most of them on paths that cross the ego's path in {count}"
+        speeds = self.ego_speeds or (self.ego_speed,)
+        speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
+        lane = f"lane {self.ego_lane}"
+        if self.ego_lanes:
+            lane = f"lane {self.ego_lanes[0]}"
+        if len(self.ego_lanes) > 1:
+            lane = f"lanes {self.ego_lanes[0]} to {self.ego_lanes[-1]}"
+        text += f"; the ego starts at {speed} m/s in {lane}"
+        others = listed([vehicle.name for vehicle in self.other_vehicles], "or")
+        if others:
+            which = "one NPC in six" if CAR in self.vehicles else "each NPC"
+            text += f"; {which} is a {others}"
+        return text
 
     @property
     def zones(self) -> tuple[str, ...]:
         """The names of the zones in which NPCs cross, in order along the ego's path."""
-        return () if self.crossings is None else tuple(zone.way for zone in self.crossings.zones)
+        if self.crossings is None:
+            return ()
+        return tuple(zone.way for zone in self.crossings.zones)
 
     @property
     def crossing_traffic(self) -> CrossingTraffic | None:
         """The distribution of instructions for crossing NPCs, or None if no NPC crosses."""
         if self.crossings is None:
             return None
-        low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
+        low = self.choices.low / SPEED_STEPS_PER_MPS
+        high = self.choices.top / SPEED_STEPS_PER_MPS
         return CrossingTraffic(self.crossings, low, high, self.most_on_grid)
 
     def with_sampled_start(self, rng: Generator) -> SearchSpace:
         """Sample the start and the size of a scenario, and return the space restricted to them."""
-        if (
-            not (self.ego_lanes or self.most_npcs or self.gene_durations)
-            and self.ego_speeds is None
-        ):
+        is_sampled = self.ego_lanes or self.most_npcs or self.gene_durations or self.ego_speeds
+        if not is_sampled:
             return self
-        lane = (
-            self.ego_lanes[int(rng.integers(len(self.ego_lanes)))]
-            if self.ego_lanes
-            else self.ego_lane
-        )
+        lane = self.ego_lane
+        if self.ego_lanes:
+            lane = pick(self.ego_lanes, rng)
         speed = self.sample_speed(rng)
-        most = self.most_on(lane)
-        npcs = (
-            int(rng.integers(min(self.least_npcs, most), most + 1)) if self.most_npcs else self.npcs
-        )
-        durations = self.gene_durations
-        seconds = durations[int(rng.integers(len(durations)))] if durations else self.gene_seconds
+        npcs = self.npcs
+        if self.most_npcs:
+            most = self.most_on(lane)
+            npcs = int(rng.integers(min(self.least_npcs, most), most + 1))
+        seconds = self.gene_seconds
+        if self.gene_durations:
+            seconds = pick(self.gene_durations, rng)
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
 
     def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
         """Return the space with a fixed start (lane, speed [m/s]), number of NPCs, and genes (number, duration [s])."""
-        plain: dict[str, Any] = {
-            "ego_lanes": (),
-            "ego_speeds": None,
-            "most_npcs": (),
-            "gene_durations": (),
-        }
         return replace(
             self,
             ego_lane=lane,
+            ego_lanes=(),
             ego_speed=speed,
+            ego_speeds=None,
             npcs=npcs,
+            most_npcs=(),
             genes=genes,
             gene_seconds=seconds,
-            **plain,
+            gene_durations=(),
         )
 
     def most_on(self, lane: int) -> int:
         """Return the largest number of NPCs in a scenario in which the ego starts in ``lane``."""
         lanes = self.ego_lanes or (self.ego_lane,)
-        return self.most_npcs[lanes.index(lane)] if self.most_npcs and lane in lanes else self.npcs
+        if self.most_npcs and lane in lanes:
+            return self.most_npcs[lanes.index(lane)]
+        return self.npcs
 
     def genes_of(self, seconds: float) -> int:
         """Return how many genes of a duration [s] fill the total duration."""
@@ -442,10 +438,8 @@ class SearchSpace:
         if self.ego_speeds is None:
             return self.ego_speed
         low, high = (speed * SPEED_STEPS_PER_MPS for speed in self.ego_speeds)
-        return (
-            int(rng.integers(math.ceil(low - 1e-6), math.floor(high + 1e-6) + 1))
-            / SPEED_STEPS_PER_MPS
-        )
+        choices = Choices(math.ceil(low - 1e-6), math.floor(high + 1e-6))
+        return choices.any_speed(rng)
 
 
 def space_on(
@@ -476,7 +470,8 @@ def space_on(
     space = SearchSpace(**wanted, speed_limit=speed_limit)
     if "genes" in wanted:
         return space
-    return replace(space, genes=max(1, math.ceil(longest_run / space.gene_seconds - 1e-9)))
+    genes = math.ceil(longest_run / space.gene_seconds - 1e-9)
+    return replace(space, genes=max(1, genes))
 
 
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
@@ -496,58 +491,51 @@ def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
     if crossing is not None:
         return _sample_crossing(space, crossing, rng)
     share = LANE_SHARES[space.instructions]
-    in_lanes = int(rng.binomial(space.npcs, share)) if share else 0
-    chains: list[Sequence[Instruction]] = [
-        *_on_grid(space, space.npcs - in_lanes, rng),
-        *random_lanes(space.choices, in_lanes, space.genes, rng),
-    ]
-    return repaired(chains, fresh_seed(rng), space)
+    in_lanes = 0
+    if share:
+        in_lanes = int(rng.binomial(space.npcs, share))
+    on_grid = _on_grid(space, space.npcs - in_lanes, rng)
+    lanes = random_lanes(space.choices, in_lanes, space.genes, rng)
+    return repaired([*on_grid, *lanes], fresh_seed(rng), space)
 
 
 def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[PositionInstruction]]:
     if npcs and space.patterns and rng.integers(2):
         # Half of the scenarios have patterns instead of walks.
-        bounds = space.low_step, space.top_step
-        return [chain_of_patterns(space.genes, space.ego_speed, bounds, rng) for _ in range(npcs)]
+        return [
+            chain_of_patterns(space.genes, space.ego_speed, space.choices, rng) for _ in range(npcs)
+        ]
     first = rng.permutation(8)[:npcs, None]
     # NPCs start in distinct cells. Each stays in its cell or steps to either side, with equal probability.
     steps = rng.integers(-1, 2, size=(npcs, space.genes - 1))
-    walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
-    return chains_of(
-        walks, rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist()
-    )
+    positions = np.cumsum(np.hstack([first, steps]), axis=1)
+    walks = (positions % 8 + 1).tolist()
+    low, top = space.choices
+    speeds = rng.integers(low, top + 1, size=(npcs, space.genes))
+    return chains_of(PositionInstruction, walks, speeds.tolist())
 
 
 def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generator) -> Scenario:
-    count = max(int(rng.binomial(space.npcs, CROSSING)), space.npcs - space.most_on_grid)
-    on_cells: tuple[Chromosome, ...] = ()
+    count = int(rng.binomial(space.npcs, CROSSING))
+    count = max(count, space.npcs - space.most_on_grid)
+    chains: list[Chromosome] = []
     if count < space.npcs:
-        on_cells = sample(replace(space, crossings=None, npcs=space.npcs - count), rng).npcs
-    chains = (*on_cells, *((crossing.sample(rng),) for _ in range(count)))
-    return repaired(crossing.without_conflicts(chains, rng), fresh_seed(rng), space)
-
-
-def chains_of(
-    cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]
-) -> list[list[PositionInstruction]]:
-    """Build a chain for each NPC from its cells and its speeds, which are in units of 0.1 m/s."""
-    return [
-        [
-            known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS)
-            for cell, speed in zip(*chain, strict=True)
-        ]
-        for chain in zip(cells, speeds, strict=True)
-    ]
+        others = replace(space, crossings=None, npcs=space.npcs - count)
+        chains += sample(others, rng).npcs
+    chains += [(crossing.sample(rng),) for _ in range(count)]
+    kept = crossing.without_conflicts(chains, rng)
+    return repaired([*kept.values()], fresh_seed(rng), space)
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a scenario in which all NPCs have Lane-Instructions."""
     # no repair, so no seed
-    return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)
+    chains = random_lanes(space.choices, space.npcs, space.genes, rng)
+    return repaired(chains, 0, space)
 
 
 def repaired(
-    chains: Sequence[Sequence[Instruction]],
+    chains: Chains,
     seed: int,
     start: Scenario | SearchSpace,
     vehicles: tuple[VehicleType, ...] | None = None,
@@ -556,32 +544,22 @@ def repaired(
 
     ``start`` provides everything except the chains, the seed and, if given, the vehicles.
     """
-    if vehicles is None:
-        vehicles = start.vehicles if isinstance(start, Scenario) else ()
-    # The result equals that of Scenario.repaired. This is much faster, because valid chains skip the repair. Speed
-    # matters here, because a search repairs every child.
-    positions = positions_of(chains)
-    cells = [[gene.cell for gene in chain] for chain in positions]
-    npcs = tuple(map(tuple, chains))
-    if not are_valid(cells):
-        fitting = iter(
-            [
-                # A gene that keeps its cell is reused, which is faster than making and checking a new one.
-                tuple(g if g.cell == cell else g.aimed(cell) for g, cell in zip(*each, strict=True))
-                for each in zip(positions, repair_chains(cells, seed), strict=True)
-            ]
-        )
-        npcs = tuple(next(fitting) if chain[0].on_grid else chain for chain in npcs)
-    # a space is a user's input, so check it
-    make = Scenario.trusted if isinstance(start, Scenario) else Scenario
+    # a space is a user's input, so the scenario is checked
+    make: Callable[..., Scenario] = Scenario
+    if isinstance(start, Scenario):
+        make = Scenario.trusted
+        if vehicles is None:
+            vehicles = start.vehicles
+    # The result equals that of Scenario.repaired. This is much faster, because it skips the checks. Speed matters here,
+    # because a search repairs every child.
     return make(
-        npcs=npcs,
+        npcs=repaired_chains(chains, seed),
         seed=seed,
         ego_lane=start.ego_lane,
         ego_speed=start.ego_speed,
         gene_seconds=start.gene_seconds,
         traffic=start.traffic,
-        vehicles=without_last_cars(vehicles),
+        vehicles=without_last_cars(vehicles or ()),
     )
 
 

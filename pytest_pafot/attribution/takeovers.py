@@ -12,7 +12,8 @@ from pytest_pafot.model.trace import Outcome, Trace
 CAREFUL = "careful-human"
 
 # The time between two attempted takeovers, and the largest time from a takeover to the impact [s].
-STEP, WINDOW = 0.25, 3.0
+STEP = 0.25
+WINDOW = 3.0
 # This many takeovers in a row must avoid the collision, so that a single success by chance does not count.
 IN_SUCCESSION = 3
 # The careful driver must not touch any vehicle for this time after the recorded impact [s].
@@ -42,7 +43,8 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
     if trace.collision is None or trace.collision.npc is None:
         return None
     # Try later takeovers first, until IN_SUCCESSION of them, each a STEP earlier than the last, avoid the collision.
-    streak, is_known = 0, True
+    streak = 0
+    is_known = True
     for number in range(1, round(WINDOW / STEP) + 1):
         avoids: bool | None = True
         # before the start of the run, a takeover needs no simulation
@@ -52,24 +54,30 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
                 return None
             avoids = _avoids(taken, trace)
         is_known &= avoids is not None
-        streak = streak + 1 if avoids else 0
+        streak += 1
+        if not avoids:
+            streak = 0
         first = (number + 1 - IN_SUCCESSION) * STEP
         if streak >= IN_SUCCESSION and _tick(trace, first) >= 0:
             return first
-    return 0.0 if is_known else None
+    if is_known:
+        return 0.0
+    return None
 
 
 def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
     """Return the run in which the careful driver takes over, or None if it starts differently from the recorded run."""
     tick = _tick(trace, seconds)
     # The run must not end before it is known that the driver touches no vehicle.
-    taken = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)(trace, tick)
-    repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
-    return (
-        taken
-        if repeated.shape == recorded.shape and (np.abs(repeated - recorded) <= ROUNDING).all()
-        else None
-    )
+    duration = (_until(trace) + LEEWAY) / trace.physics_hz
+    taken = take_over.lasting(duration)(trace, tick)
+    repeated = taken.states[: tick + 1]
+    recorded = trace.states[: tick + 1]
+    if repeated.shape != recorded.shape:
+        return None
+    if (np.abs(repeated - recorded) <= ROUNDING).all():
+        return taken
+    return None
 
 
 def sentence(seconds: float) -> str:
@@ -89,7 +97,9 @@ def _tick(trace: Trace, seconds: float) -> int:
 
 
 def _impact(trace: Trace) -> int:
-    return trace.ticks if trace.collision is None else trace.collision.tick
+    if trace.collision is None:
+        return trace.ticks
+    return trace.collision.tick
 
 
 def _until(trace: Trace) -> int:
@@ -98,13 +108,13 @@ def _until(trace: Trace) -> int:
 
 def _avoids(taken: Trace, trace: Trace) -> bool | None:
     # None if the run ended too early. If a third vehicle hits the ego's rear, the careful driver is not at fault.
-    hit, then = taken.collision, trace.collision
-    is_hit = hit is not None and hit.tick <= _until(trace)
-    if hit is not None and is_hit and (then is None or hit.npc == then.npc or hit.side != "rear"):
+    hit = taken.collision
+    recorded = trace.collision
+    if hit is not None and hit.tick > _until(trace):
+        hit = None
+    if hit and (recorded is None or hit.npc == recorded.npc or hit.side != "rear"):
         return False
-    is_cut = taken.outcome in (
-        Outcome.INVALID,
-        Outcome.ADS_ERROR,
-        Outcome.HANG,
-    ) and taken.ticks < _until(trace)
-    return None if is_cut or taken.ticks < _impact(trace) else True
+    is_cut = taken.outcome in (Outcome.INVALID, Outcome.ADS_ERROR, Outcome.HANG)
+    if taken.ticks < _impact(trace) or (is_cut and taken.ticks < _until(trace)):
+        return None
+    return True

@@ -21,7 +21,7 @@ from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origi
 
 import yaml
 
-from pytest_pafot.attribution.mistakes import LANE_CHANGES
+from pytest_pafot.attribution.responsibility import LANE_CHANGES
 from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in, refusal
 from pytest_pafot.findings.finding import (
     ID_RULE,

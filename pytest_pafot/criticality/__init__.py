@@ -10,12 +10,10 @@ compiled.load(__name__)  # before the modules that import compiled code
 
 from pytest_pafot.criticality.measures import (
     Encounters,
-    RelativePositions,
     RoadFrame,
     RssRules,
     centre_distance,
     ettc,
-    execution_time,
     gap,
     hardest_brake,
     longitudinal_gap,
@@ -32,7 +30,7 @@ from pytest_pafot.criticality.measures import (
 from pytest_pafot.criticality.signals import Passage, passages, time_advantage
 
 __all__ = [
-    "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "centre_distance", "ettc", "execution_time",
+    "Encounters", "Passage", "RoadFrame", "RssRules", "centre_distance", "ettc",
     "gap", "hardest_brake", "longitudinal_gap", "max_safety_shortfall", "mettc", "min_centre_distance", "min_gap",
     "min_safety_distance", "min_ttc", "passages", "planned_duration", "safety_distance",
     "time_advantage", "ttc",

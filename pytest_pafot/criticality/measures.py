@@ -6,104 +6,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from itertools import product, takewhile
+from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
-from pytest_pafot.model.instructions import Cell, cell_at
 from pytest_pafot.model.trace import (
     ACCELERATION,
     HEADING,
     LANE,
     SPEED,
+    BoolArray,
     FloatArray,
-    Lane,
     Trace,
-    road_of_run,
 )
-
-
-class RelativePositions:
-    """The positions of a run's NPCs relative to the ego."""
-
-    # Arrays have the shape [NPCs, ticks + 1].
-
-    def __init__(
-        self,
-        states: FloatArray,
-        sizes: FloatArray,
-        lanes: Sequence[Lane],
-        track: FloatArray | None = None,
-    ) -> None:
-        self._states = states
-        self._sizes = sizes
-        self._lanes = lanes
-        # The road defines all distances. Each array is computed at its first use. Ticks are the last axis, which makes
-        # numpy about three times as fast.
-        self._road = road_of_run(states, lanes, track)
-
-    def column(self, index: int) -> FloatArray:
-        # One column of the trace's states, shape [vehicles, ticks + 1].
-        return self._road.column(index)
-
-    @property
-    def x(self) -> FloatArray:
-        return self._road.x
-
-    @property
-    def y(self) -> FloatArray:
-        return self._road.y
-
-    @property
-    def road(self) -> tuple[FloatArray, FloatArray]:
-        # Cosine and sine of the heading of the ego's lane, each of shape [1, ticks + 1] or [1, 1].
-        return self._road.direction
-
-    @property
-    def is_on_way(self) -> npt.NDArray[np.bool_]:
-        return self._road.is_on_way
-
-    @property
-    def ahead(self) -> FloatArray:
-        """The distance [m] of an NPC's centre ahead of the ego's centre."""
-        # On a curved road, the difference of the two positions on the ego's path is multiplied by the mean of the
-        # metres that ego and NPC drive per metre of that path. In a circle this is the arc halfway between the arcs of
-        # the two vehicles.
-        return self._road.offsets[0]
-
-    @property
-    def right(self) -> FloatArray:
-        """The distance [m] of an NPC's centre to the right of the ego's centre."""
-        # On a curved road, each vehicle's distance to the ego's path is measured at the position of the vehicle.
-        return self._road.offsets[1]
-
-    @cached_property
-    def same_lane(self) -> npt.NDArray[np.bool_]:
-        # True where the centres of the ego and an NPC are in the same lane.
-        lane = self.column(LANE)
-        same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0) & self.is_on_way
-        return same
-
-    def cell(self, npc: int, tick: int) -> Cell | None:
-        """Return an NPC's cell at a tick, or None if the NPC is in no cell."""
-        # Rows are as long as the ego, columns as wide as the ego's lane, or as the first lane if the ego is off the
-        # road.
-        ahead, right = self._road.offset(npc, tick)
-        width = self._lanes[max(int(self._states[tick, 0, LANE]), 0)].width
-        return cell_at(ahead, right, float(self._sizes[0, 0]), width)
-
-    def last_cell(self, npc: int, tick: int) -> Cell | None:
-        """Return the cell that an NPC last occupied up to a tick, or None."""
-        # Only the time since the NPC entered the ego's path counts.
-        ticks = takewhile(lambda each: self.is_on_way[npc, each], range(tick, -1, -1))
-        cells = (self.cell(npc, each) for each in ticks)
-        return next((cell for cell in cells if cell is not None), None)
-
 
 # Added to relative velocities to avoid divisions by zero [m/s]. It is too small to change other velocities, and
 # divisions by it do not overflow.
@@ -137,13 +55,14 @@ class Boxes:
         length: FloatArray,
         width: FloatArray,
     ) -> Boxes:
-        cos, sin = np.cos(heading), np.sin(heading)  # a negative speed moves backwards
+        cos = np.cos(heading)
+        sin = np.sin(heading)
         return cls(
             x=x,
             y=y,
             cos=cos,
             sin=sin,
-            vx=speed * cos,
+            vx=speed * cos,  # a negative speed moves backwards
             vy=speed * sin,
             half_length=length / 2,
             half_width=width / 2,
@@ -155,9 +74,9 @@ class Boxes:
             name: getattr(self, name)[vehicles, ticks]
             for name in ("x", "y", "cos", "sin", "vx", "vy")
         }
-        return Boxes(
-            **moving, half_length=self.half_length[vehicles], half_width=self.half_width[vehicles]
-        )
+        length = self.half_length[vehicles]
+        width = self.half_width[vehicles]
+        return Boxes(**moving, half_length=length, half_width=width)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,21 +97,21 @@ def relate(a: Boxes, b: Boxes) -> Pairs:
     """Project each pair (a, b) of boxes onto the four axes of the boxes."""
     cos = a.cos * b.cos + a.sin * b.sin
     sin = a.cos * b.sin - a.sin * b.cos
-    c, s = np.abs(cos), np.abs(sin)
+    c = np.abs(cos)
+    s = np.abs(sin)
     reaches = (
         a.half_length + b.half_length * c + b.half_width * s,
         a.half_width + b.half_length * s + b.half_width * c,
         b.half_length + a.half_length * c + a.half_width * s,
         b.half_width + a.half_length * s + a.half_width * c,
     )
-    return Pairs(
-        a=a, b=b, offsets=_along_axes(a, b, b.x - a.x, b.y - a.y), reaches=reaches, cos=cos, sin=sin
-    )
+    offsets = _along_axes(a, b, b.x - a.x, b.y - a.y)
+    return Pairs(a=a, b=b, offsets=offsets, reaches=reaches, cos=cos, sin=sin)
 
 
-def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
+def overlaps(pairs: Pairs) -> BoolArray:
     """Return whether the two boxes of each pair overlap."""
-    result: npt.NDArray[np.bool_] = np.ones(pairs.cos.shape, dtype=np.bool_)
+    result = np.ones(pairs.cos.shape, dtype=np.bool_)
     for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True):
         result &= np.abs(offset) <= reach
     return result
@@ -200,40 +119,45 @@ def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
 
 def depth(pairs: Pairs) -> FloatArray:
     """Return the smallest overlap [m] on any axis, negative if the boxes are apart."""
-    spare = [
-        reach - np.abs(offset) for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True)
-    ]
+    pairs_of_axes = zip(pairs.offsets, pairs.reaches, strict=True)
+    spare = [reach - np.abs(offset) for offset, reach in pairs_of_axes]
     result: FloatArray = np.min(spare, axis=0)
     return result
 
 
 def box_gap(pairs: Pairs) -> FloatArray:
     """Return the distance [m] between the boxes, or 0 if they overlap."""
-    a, b = pairs.a, pairs.b
+    a = pairs.a
+    b = pairs.b
     # The smallest distance between two separate rectangles is always at a corner of one of them.
     along, across, back_along, back_across = pairs.offsets
     from_b = _corners_to_box(along, across, pairs.cos, pairs.sin, a, b)
     # As seen from b, the offset has the opposite sign. That mirrors the set of a's corners in b's centre, which does
     # not change their distances from b's box, so the sign can stay.
     from_a = _corners_to_box(back_along, back_across, pairs.cos, -pairs.sin, b, a)
-    return np.where(overlaps(pairs), 0.0, np.sqrt(np.minimum(from_a, from_b)))
+    apart = np.sqrt(np.minimum(from_a, from_b))
+    return np.where(overlaps(pairs), 0.0, apart)
 
 
 def contact_time(pairs: Pairs) -> FloatArray:
     """Return the time [s] until the boxes touch at their present velocities, or inf."""
     # Along each axis, the projections overlap during one interval of time. Contact starts when the last of these four
     # intervals starts, unless one of them has ended by then.
-    velocities = _along_axes(pairs.a, pairs.b, pairs.b.vx - pairs.a.vx, pairs.b.vy - pairs.a.vy)
+    a = pairs.a
+    b = pairs.b
+    velocities = _along_axes(a, b, b.vx - a.vx, b.vy - a.vy)
     begins: FloatArray = np.full(pairs.cos.shape, -np.inf)
     ends: FloatArray = np.full(pairs.cos.shape, np.inf)
     for offset, reach, velocity in zip(pairs.offsets, pairs.reaches, velocities, strict=True):
         distance = np.abs(offset)
         parting = np.copysign(1.0, offset) * velocity + _TINY
-        near, far = (reach - distance) / parting, -(reach + distance) / parting
+        near = (reach - distance) / parting
+        far = -(reach + distance) / parting
         begins = np.maximum(begins, np.minimum(near, far))
         ends = np.minimum(ends, np.maximum(near, far))
     # This order makes NaN fail the comparisons, so the result is NaN.
-    return np.where((begins > ends) | (ends < 0), np.inf, np.maximum(begins, 0.0))
+    never = (begins > ends) | (ends < 0)
+    return np.where(never, np.inf, np.maximum(begins, 0.0))
 
 
 def _along_axes(a: Boxes, b: Boxes, x: FloatArray, y: FloatArray) -> FourAxes:
@@ -247,16 +171,25 @@ def _along_axes(a: Boxes, b: Boxes, x: FloatArray, y: FloatArray) -> FourAxes:
 
 
 def _corners_to_box(
-    u: FloatArray, v: FloatArray, cos: FloatArray, sin: FloatArray, box: Boxes, other: Boxes
+    u: FloatArray,
+    v: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    box: Boxes,
+    other: Boxes,
 ) -> FloatArray:
     # The result is the squared distance from the nearest corner of `other` to `box` [m^2].
     # (u, v) is the centre of `other`, and cos and sin belong to its heading. Both are in the frame of `box`.
-    length_u, length_v = other.half_length * cos, other.half_length * sin
-    width_u, width_v = -other.half_width * sin, other.half_width * cos
+    length_u = other.half_length * cos
+    length_v = other.half_length * sin
+    width_u = -other.half_width * sin
+    width_v = other.half_width * cos
     nearest: FloatArray = np.full(u.shape, np.inf)
     for move, side in product((np.add, np.subtract), repeat=2):
-        outside_u = np.maximum(np.abs(side(move(u, length_u), width_u)) - box.half_length, 0.0)
-        outside_v = np.maximum(np.abs(side(move(v, length_v), width_v)) - box.half_width, 0.0)
+        corner_u = side(move(u, length_u), width_u)
+        corner_v = side(move(v, length_v), width_v)
+        outside_u = np.maximum(np.abs(corner_u) - box.half_length, 0.0)
+        outside_v = np.maximum(np.abs(corner_v) - box.half_width, 0.0)
         nearest = np.minimum(nearest, outside_u * outside_u + outside_v * outside_v)
     return nearest
 
@@ -272,37 +205,49 @@ _SWEEPS = sweep.is_in_use()
 _PARALLEL = 1e-9
 
 
-class Encounters(RelativePositions):
-    """The geometry of one run, which the measures share."""
+class Encounters:
+    """The geometry of one run, which the measures share. Arrays have the shape [NPCs, ticks + 1]."""
 
     def __init__(self, trace: Trace) -> None:
-        super().__init__(trace.states, trace.sizes, trace.lanes, trace.track)
+        # The road defines all distances. Each array is computed at its first use. Ticks are the last axis, which makes
+        # numpy about three times as fast.
+        self.road = trace.road
+        self._sizes = trace.sizes
 
     @cached_property
     def speed(self) -> FloatArray:
-        return self.column(SPEED)  # [m/s], shape [vehicles, ticks + 1]
+        return self.road.column(SPEED)  # [m/s], shape [vehicles, ticks + 1]
 
     @cached_property
     def boxes(self) -> Boxes:
-        return Boxes.driving(
-            self.x, self.y, self.column(HEADING), self.speed, self._sizes[:, :1], self._sizes[:, 1:]
-        )
+        road = self.road
+        length = self._sizes[:, :1]
+        width = self._sizes[:, 1:]
+        return Boxes.driving(road.x, road.y, road.column(HEADING), self.speed, length, width)
 
     @cached_property
     def pairs(self) -> Pairs:
         every = slice(None)
-        return relate(self.boxes.part(slice(0, 1), every), self.boxes.part(slice(1, None), every))
+        ego = self.boxes.part(slice(0, 1), every)
+        return relate(ego, self.boxes.part(slice(1, None), every))
 
     @cached_property
-    def ego_follows(self) -> npt.NDArray[np.bool_]:
+    def same_lane(self) -> BoolArray:
+        # True where the centres of the ego and an NPC are in the same lane.
+        lane = self.road.column(LANE)
+        is_same: BoolArray = lane[1:] == lane[:1]
+        return is_same & (lane[:1] >= 0) & self.road.is_on_way
+
+    @cached_property
+    def ego_follows(self) -> BoolArray:
         # True where an NPC's centre is level with the ego's centre or ahead of it.
-        return self.ahead >= 0
+        return self.road.ahead >= 0
 
     def follower_minus_leader(self, values: FloatArray) -> FloatArray:
         # The result is NaN off the ego's path.
         ego_minus_npc = values[:1] - values[1:]
-        gain: FloatArray = np.where(self.ego_follows, ego_minus_npc, -ego_minus_npc)
-        return np.where(self.is_on_way, gain, np.nan)
+        gain = np.where(self.ego_follows, ego_minus_npc, -ego_minus_npc)
+        return np.where(self.road.is_on_way, gain, np.nan)
 
 
 @lru_cache(maxsize=1)
@@ -321,7 +266,8 @@ def ettc(trace: Trace) -> FloatArray:
     # point is (p2 - p1) x d2 / d1 x d2. This equals the paper's expression where its tangents and cotangents exist, and
     # is also defined for headings along the axes. As in the paper, it does not matter when the NPC reaches the point. A
     # vehicle that drives backwards travels against its heading.
-    pairs, speed = encounters_of(trace).pairs, encounters_of(trace).speed
+    pairs = encounters_of(trace).pairs
+    speed = encounters_of(trace).speed
     way = np.where(speed < 0, -1.0, 1.0)
     # In the ego's frame, (p2 - p1) x d2 is minus the offset across the NPC's heading, and d1 x d2 is the sine of the
     # difference between the headings. The same applies if the roles are swapped. Parallel lines are divided by 1 and
@@ -332,8 +278,9 @@ def ettc(trace: Trace) -> FloatArray:
     npc_way = -way[1:] * pairs.offsets[1] / sine
     standing = speed[:1] == 0
     none = parallel | (ego_way < 0) | (npc_way < 0) | standing
+    ego_speed = np.where(standing, 1.0, np.abs(speed[:1]))
     with np.errstate(over="ignore"):  # at the smallest speeds the time is infinite
-        return np.where(none, np.inf, ego_way / np.where(standing, 1.0, np.abs(speed[:1]))).T
+        return np.where(none, np.inf, ego_way / ego_speed).T
 
 
 def mettc(trace: Trace) -> float:
@@ -349,8 +296,10 @@ def ttc(trace: Trace) -> FloatArray:
 
 def min_ttc(trace: Trace) -> float:
     """Return the smallest :func:`ttc` [s] of the run."""
-    swept = _extremes(trace)
-    return _lowest(ttc(trace)) if swept is None else swept[0]
+    swept = _swept(trace)
+    if swept is None:
+        return _lowest(ttc(trace))
+    return swept[0]
 
 
 def centre_distance(trace: Trace) -> FloatArray:
@@ -372,8 +321,10 @@ def gap(trace: Trace) -> FloatArray:
 
 def min_gap(trace: Trace) -> float:
     """Return the smallest :func:`gap` [m] of the run."""
-    swept = _extremes(trace)
-    return _lowest(gap(trace)) if swept is None else swept[1]
+    swept = _swept(trace)
+    if swept is None:
+        return _lowest(gap(trace))
+    return swept[1]
 
 
 def safety_distance(trace: Trace) -> FloatArray:
@@ -382,17 +333,18 @@ def safety_distance(trace: Trace) -> FloatArray:
     The follower must keep at least this distance.
     """
     # (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower and 2 the leader.
-    encounters, t = encounters_of(trace), MANOEUVRE_SECONDS
+    encounters = encounters_of(trace)
+    t = MANOEUVRE_SECONDS
     gain = encounters.follower_minus_leader(encounters.speed)
-    return (
-        gain * t + encounters.follower_minus_leader(encounters.column(ACCELERATION)) * (t * t / 2)
-    ).T
+    pull = encounters.follower_minus_leader(encounters.road.column(ACCELERATION))
+    return (gain * t + pull * (t * t / 2)).T
 
 
 def min_safety_distance(trace: Trace) -> float:
     """Return the smallest :func:`safety_distance` [m] of the run, which the paper's fitness minimises."""
     # This rewards leaders that pull away. `max_safety_shortfall` does not.
-    return _lowest(np.where(encounters_of(trace).is_on_way.T, safety_distance(trace), np.inf))
+    is_on_way = encounters_of(trace).road.is_on_way.T
+    return _lowest(np.where(is_on_way, safety_distance(trace), np.inf))
 
 
 def safety_shortfall(trace: Trace) -> FloatArray:
@@ -407,20 +359,21 @@ def safety_shortfall(trace: Trace) -> FloatArray:
 
 def max_safety_shortfall(trace: Trace) -> float:
     """Return the largest missing fraction of the safety distance, from 0 to 1 (contact)."""
-    swept = _extremes(trace)
-    return float(safety_shortfall(trace).max(initial=0.0)) if swept is None else swept[2]
+    swept = _swept(trace)
+    if swept is None:
+        return float(safety_shortfall(trace).max(initial=0.0))
+    return swept[2]
 
 
 @lru_cache(maxsize=1)
-def _extremes(trace: Trace) -> tuple[float, float, float] | None:
+def _swept(trace: Trace) -> tuple[float, float, float] | None:
     # The three extremes are computed together and cached, because the default fitness needs all of them. The compiled
     # pass requires a road with a single direction.
     heading = trace.road.heading
     if not _SWEEPS or heading is None:
         return None
-    return sweep.extremes(
-        trace.states, trace.sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS
-    )
+    direction = math.cos(heading), math.sin(heading)
+    return sweep.extremes(trace.states, trace.sizes, direction, MANOEUVRE_SECONDS)
 
 
 def hardest_brake(trace: Trace) -> float:
@@ -428,26 +381,27 @@ def hardest_brake(trace: Trace) -> float:
     return max(0.0, -_lowest(trace.ego[:, ACCELERATION]))
 
 
-def execution_time(trace: Trace) -> float:
-    """Return the paper's ET [s], the simulated duration of the run."""
-    return trace.duration
-
-
 def planned_duration(trace: Trace) -> float:
     """Return the total duration [s] of the scenario's genes, or of the run if a gene has no duration."""
-    return trace.duration if trace.scenario.seconds == np.inf else trace.scenario.seconds
+    seconds = trace.scenario.seconds
+    if seconds == math.inf:
+        return trace.duration
+    return seconds
 
 
-def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+def stretches(holds: BoolArray) -> list[tuple[int, int]]:
     """Return the intervals in which a condition is true, each as its first tick and the tick after its last."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])))).tolist()
+    padded = np.concatenate(([False], holds, [False]))
+    edges = np.flatnonzero(np.diff(padded)).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def last_stretch(holds: npt.NDArray[np.bool_]) -> int:
+def last_stretch(holds: BoolArray) -> int:
     """Return the first tick of the last interval in which a condition is true."""
     fails = np.flatnonzero(~holds[:-1])
-    return int(fails[-1]) + 1 if fails.size else 0
+    if fails.size:
+        return int(fails[-1]) + 1
+    return 0
 
 
 def _lowest(values: FloatArray) -> float:
@@ -482,7 +436,10 @@ class RssRules:
                 )
 
     def safe_along(
-        self, follower: FloatArray, leader: FloatArray, response: float | FloatArray
+        self,
+        follower: FloatArray,
+        leader: FloatArray,
+        response: float | FloatArray,
     ) -> FloatArray:
         """Return the gap [m] that RSS requires of a follower, given speeds [m/s] along the road."""
         # v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake): the leader may brake as
@@ -491,7 +448,8 @@ class RssRules:
         # has the sign of the speed. The formula for oncoming traffic is not used.
         fastest = follower + response * self.acceleration
         travelled = (follower + fastest) / 2 * response + _stopping(fastest, self.least_braking)
-        return np.asarray(np.maximum(travelled - _stopping(leader, self.hardest_braking), 0.0))
+        leaders = _stopping(leader, self.hardest_braking)
+        return np.asarray(np.maximum(travelled - leaders, 0.0))
 
 
 def longitudinal_gap(trace: Trace) -> FloatArray:
@@ -507,30 +465,30 @@ class RoadFrame:
 
     def __init__(self, trace: Trace) -> None:
         encounters = Encounters(trace)
+        road = encounters.road
         boxes = encounters.boxes
         # Whether each NPC is on the ego's path, and the offset of its centre from the ego's centre [m].
-        self.is_on_way, self.ahead, self.right = (
-            encounters.is_on_way,
-            encounters.ahead,
-            encounters.right,
-        )
+        self.is_on_way = road.is_on_way
+        self.ahead = road.ahead
+        self.right = road.right
         # The cosine and sine of each vehicle's angle to the road.
-        self.cos, self.sin, road_cos, road_sin = trace.road.turned(boxes.cos, boxes.sin)
-        speed = encounters.speed
+        self.cos, self.sin, road_cos, road_sin = road.turned(boxes.cos, boxes.sin)
         # The speeds of each vehicle along the road and to the right across it [m/s].
-        self.speed, self.drift = speed * self.cos, speed * self.sin
+        self.speed = encounters.speed * self.cos
+        self.drift = encounters.speed * self.sin
         # The drift is the movement since the previous tick, so slip is included. At the first tick of the run, or of
         # the vehicle on the ego's path, the heading determines it.
-        before = slice(-1) if road_cos.shape[1] > 1 else slice(None)
-        right = (
-            np.diff(encounters.y) * road_cos[:, before]
-            - np.diff(encounters.x) * road_sin[:, before]
-        )
-        self.drift[0, 1:] = right[0] * trace.physics_hz
+        if road_cos.shape[1] > 1:
+            road_cos = road_cos[:, :-1]
+            road_sin = road_sin[:, :-1]
+        right = np.diff(road.y) * road_cos - np.diff(road.x) * road_sin
+        drift = right * trace.physics_hz
+        self.drift[0, 1:] = drift[0]
         was_and_is = self.is_on_way[:, :-1] & self.is_on_way[:, 1:]
-        np.copyto(self.drift[1:, 1:], right[1:] * trace.physics_hz, where=was_and_is)
+        np.copyto(self.drift[1:, 1:], drift[1:], where=was_and_is)
         # Half of the extents of each box [m].
-        cos, sin = np.abs(self.cos), np.abs(self.sin)
+        cos = np.abs(self.cos)
+        sin = np.abs(self.sin)
         self.half_along = boxes.half_length * cos + boxes.half_width * sin
         self.half_across = boxes.half_length * sin + boxes.half_width * cos
 
@@ -541,18 +499,22 @@ class RoadFrame:
     @property
     def gap_along(self) -> FloatArray:
         """The gap [m] between the boxes along the road."""
-        return np.maximum(np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:], 0.0).T
+        gap = np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:]
+        return np.maximum(gap, 0.0).T
 
     @property
     def gap_across(self) -> FloatArray:
         # At 0, the vehicle behind would hit the vehicle ahead if it drove straight on.
-        return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
+        gap = np.abs(self.right) - self.half_across[:1] - self.half_across[1:]
+        return np.maximum(gap, 0.0).T
 
     def safe_along(self, rules: RssRules) -> FloatArray:
         # The smallest `gap_along` [m] that is safe according to RSS.
         ego_follows = self.ahead >= 0
-        follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
-        leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
+        ego = self.speed[:1]
+        npcs = self.speed[1:]
+        follower = np.where(ego_follows, ego, npcs)
+        leader = np.where(ego_follows, npcs, ego)
         response = np.where(ego_follows, rules.ego_response, rules.npc_response)
         return rules.safe_along(follower, leader, response).T
 
@@ -561,8 +523,10 @@ class RoadFrame:
         # move sideways. A vehicle that still moves away after its response time increases the gap while it brakes, so
         # its stopping distance is subtracted. The published formula, which assumes vehicles that come closer, adds it.
         towards_npc = np.where(self.right >= 0, 1.0, -1.0)
-        ego_way = _sideways(towards_npc * self.drift[:1], rules.ego_response, rules)
-        npc_way = _sideways(-towards_npc * self.drift[1:], rules.npc_response, rules)
+        ego_drift = towards_npc * self.drift[:1]
+        npc_drift = -towards_npc * self.drift[1:]
+        ego_way = _sideways(ego_drift, rules.ego_response, rules)
+        npc_way = _sideways(npc_drift, rules.npc_response, rules)
         return (rules.fluctuation + np.maximum(ego_way + npc_way, 0.0)).T
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.criticality.measures import Encounters, encounters_of, gap, longitudinal_gap, ttc
+from pytest_pafot.criticality.measures import encounters_of, gap, longitudinal_gap, ttc
 from pytest_pafot.model.crossings import Stretch, Zone
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, FloatArray, Trace
 
@@ -54,10 +54,10 @@ class Passage:
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
     """Return, for each NPC, the passage through the zone where its path crosses the ego's, or None without a zone."""
     # A user's world may record zones without the positions of the vehicles on their paths.
-    zones = trace.zones if _has_positions(trace) else ()
-    return tuple(
-        _passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0]))
-    )
+    if not trace.zones or not _has_positions(trace):
+        return (None,) * len(trace.npcs[0])
+    found = [_passage(trace, npc, zone) for npc, zone in enumerate(trace.zones)]
+    return tuple(found)
 
 
 def time_advantage(trace: Trace) -> FloatArray:
@@ -65,25 +65,23 @@ def time_advantage(trace: Trace) -> FloatArray:
 
     It is infinite if either would never reach the zone, or if the NPC does not cross the ego's path.
     """
-    advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
+    advantage = np.full(trace.npcs.shape[:2], np.inf)
     for npc, zone in enumerate(trace.zones):
         if zone is None:
             continue
         if not _has_positions(trace):
             advantage[:, npc] = np.nan
             continue
-        ego, other = (
-            [
-                _seconds_to(place, along, trace.states[:, vehicle, SPEED], trace.physics_hz)
-                for place in stretch
-            ]
-            for vehicle, along, stretch in _paths_to_zone(trace, npc, zone)
+        (ego_enters, ego_leaves), (npc_enters, npc_leaves) = (
+            [_seconds_to(place, along, speed, trace.physics_hz) for place in stretch]
+            for along, speed, stretch in _paths_to_zone(trace, npc, zone)
         )
         with np.errstate(invalid="ignore"):  # inf - inf, if both never arrive
-            gap = np.maximum(other[0] - ego[1], ego[0] - other[1])
+            gap = np.maximum(npc_enters - ego_leaves, ego_enters - npc_leaves)
         # If both would be in the zone together, the advantage is 0.
-        is_alone = np.isposinf(ego[0]) | np.isposinf(other[0])
-        advantage[:, npc] = np.where(is_alone, np.inf, np.maximum(gap, 0.0))
+        is_alone = np.isposinf(ego_enters) | np.isposinf(npc_enters)
+        gap = np.maximum(gap, 0.0)
+        advantage[:, npc] = np.where(is_alone, np.inf, gap)
     return advantage
 
 
@@ -95,11 +93,10 @@ def _has_positions(trace: Trace) -> bool:
 def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
     if zone is None:
         return None
-    enters_and_leaves = [
+    (ego_enters, ego_leaves), (npc_enters, npc_leaves) = (
         [_first_at(place, along) / trace.physics_hz for place in stretch]
-        for _, along, stretch in _paths_to_zone(trace, npc, zone)
-    ]
-    (ego_enters, ego_leaves), (npc_enters, npc_leaves) = enters_and_leaves
+        for along, _, stretch in _paths_to_zone(trace, npc, zone)
+    )
     return Passage(
         npc=npc,
         zone=zone,
@@ -111,11 +108,14 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
 
 
 def _paths_to_zone(
-    trace: Trace, npc: int, zone: Zone
-) -> tuple[tuple[int, FloatArray, Stretch], ...]:
-    # For the ego and the NPC: the index of the vehicle, its positions along its path [m], and its section of the zone.
-    on_way: Any = trace.on_way
-    return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, on_way[:, npc], zone.npc)
+    trace: Trace,
+    npc: int,
+    zone: Zone,
+) -> tuple[tuple[FloatArray, FloatArray, Stretch], ...]:
+    # For the ego and the NPC: the positions along the path [m], the speeds [m/s], and the section of the zone.
+    speeds = trace.states[:, :, SPEED]
+    ego = (trace.track_of(0)[:, ALONG], speeds[:, 0], zone.ego)
+    return ego, (trace.way_of(npc), speeds[:, npc + 1], zone.npc)
 
 
 def _first_at(place: float, along: FloatArray) -> float:
@@ -123,19 +123,21 @@ def _first_at(place: float, along: FloatArray) -> float:
     if np.isnan(along).any():
         return math.nan
     ticks = np.flatnonzero(along >= place)
-    return float(ticks[0]) if ticks.size else math.inf
+    if ticks.size:
+        return float(ticks[0])
+    return math.inf
 
 
 def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: float) -> FloatArray:
     # The seconds until a vehicle reaches a position at its present speed, at each tick.
     ticks = np.arange(len(along))
     is_moving = speed > 0
-    ahead: FloatArray = np.where(
-        is_moving, (place - along) / np.where(is_moving, speed, 1.0), np.inf
-    )
+    seconds = (place - along) / np.where(is_moving, speed, 1.0)
+    ahead = np.where(is_moving, seconds, np.inf)
     # After the vehicle has reached the position, the time is 0 or negative.
     first = _first_at(place, along)
-    return np.where(ticks >= first, (min(first, len(along)) - ticks) / hz, ahead)
+    since = (min(first, len(along)) - ticks) / hz
+    return np.where(ticks >= first, since, ahead)
 
 
 # The values of a measure that are worse for the ego: low values, high values, values far from 0, or no values.
@@ -157,30 +159,34 @@ class Measure:
         """Return the run's worst value of the measure as a fitness between -1 and 1."""
         # v / (1 + |v|) for the worst value v, with the opposite sign if low values are worse. A measure for which no
         # values are worse cannot be a fitness.
-        risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](
-            self.function(trace)
-        )
+        signs = {"low": np.negative, "high": np.positive, "both": np.abs}
+        risk = signs[self.worse](self.function(trace))
         worst = float(risk.max(initial=-np.inf))
-        return math.copysign(1.0, worst) if math.isinf(worst) else worst / (1 + abs(worst))
+        if math.isinf(worst):
+            return math.copysign(1.0, worst)
+        return worst / (1 + abs(worst))
 
 
 def leader(trace: Trace) -> npt.NDArray[np.intp]:
     """Return, for each tick, the index of the nearest NPC ahead in the ego's lane, or -1."""
     encounters = encounters_of(trace)
-    is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
+    ahead = encounters.road.ahead
+    is_leading = encounters.same_lane & ~(ahead < 0)
     nobody = np.full((1, trace.ticks + 1), np.inf)
-    nearest: npt.NDArray[np.intp] = np.vstack(
-        (nobody, np.where(is_ahead, encounters.ahead, np.inf))
-    ).argmin(axis=0)
+    leading = np.where(is_leading, ahead, np.inf)
+    distances = np.vstack((nobody, leading))
+    nearest: npt.NDArray[np.intp] = distances.argmin(axis=0)
     return nearest - 1
 
 
 def headway(trace: Trace) -> FloatArray:
     """Return, for each tick, the time [s] until the ego reaches the rear of its :func:`leader`."""
-    ahead, speed = leader(trace), trace.ego[:, SPEED]
+    ahead = leader(trace)
+    speed = trace.ego[:, SPEED]
     moves = (ahead >= 0) & ~(speed <= 0)
     seconds = np.full(len(ahead), np.inf)  # without a leader, or while the ego is stationary
-    seconds[moves] = longitudinal_gap(trace)[moves, ahead[moves]] / speed[moves]
+    gaps = longitudinal_gap(trace)[moves, ahead[moves]]
+    seconds[moves] = gaps / speed[moves]
     return seconds
 
 
@@ -227,10 +233,13 @@ def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
     changed = np.flatnonzero(np.diff(lane[on_road]))
     if not changed.size:
         return ()
-    encounters, gap, found = encounters_of(trace), longitudinal_gap(trace), []
+    encounters = encounters_of(trace)
+    gap = longitudinal_gap(trace)
+    found = []
     for at in changed:
         before, tick = on_road[at : at + 2].tolist()
-        is_there, is_ahead = encounters.same_lane[:, tick], ~(encounters.ahead[:, tick] < 0)
+        is_there = encounters.same_lane[:, tick]
+        is_ahead = ~(encounters.road.ahead[:, tick] < 0)
         change = EgoLaneChange(
             tick=tick,
             time=tick / trace.physics_hz,
@@ -257,14 +266,15 @@ def _npcs(function: Callable[[Trace], FloatArray], trace: Trace) -> FloatArray:
 
 
 def _ahead(trace: Trace) -> FloatArray:
-    return Encounters(trace).ahead  # not the cached one, because the caller may change the array
+    return trace.road.ahead  # not a cached one, because the caller may change the array
 
 
 def _right(trace: Trace) -> FloatArray:
-    return Encounters(trace).right
+    return trace.road.right
 
 
-_of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
+_of_ego = partial(_recorded, 0)
+_of_npcs = partial(_recorded, slice(1, None))
 _TURNING = "speed times the mean turning rate since the previous tick, positive to the right"
 _JERK = "change of the acceleration since the previous tick, per second"
 _LANE = "index of the lane that contains the centre, from 0 at the left of a straight road; -1 off the road"
@@ -309,7 +319,9 @@ class Signals:
         self._values: dict[Callable[[Trace], npt.ArrayLike], FloatArray] = {}
 
     def values_of(
-        self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None
+        self,
+        function: Callable[[Trace], npt.ArrayLike],
+        npc: int | None = None,
     ) -> FloatArray:
         """Return the read-only values of a function of the trace, one per tick.
 
@@ -323,7 +335,8 @@ class Signals:
         values = self._values.get(function)  # each function of the trace is called only once
         if values is None:
             values = np.array(function(self.trace), dtype=np.float64)
-            rows, npcs = self.trace.ticks + 1, self.trace.states.shape[1] - 1
+            rows = self.trace.ticks + 1
+            npcs = len(self.trace.npcs[0])
             if values.shape not in ((rows,), (npcs, rows)):
                 raise ValueError(
                     f"signal {_name_of(function)}: expected an array of shape ({rows},), with one value per tick, or "
@@ -331,29 +344,31 @@ class Signals:
                 )
             values.flags.writeable = False
             self._values[function] = values
-        if (values.ndim == 2) is (npc is None):
-            wanted = (
-                "an index such as npc=0, because the signal has one row for each NPC"
-                if npc is None
-                else "no npc="
-            )
+        wanted = ""
+        if npc is None and values.ndim == 2:
+            wanted = "an index such as npc=0, because the signal has one row for each NPC"
+        if npc is not None and values.ndim == 1:
+            wanted = "no npc="
+        if wanted:
             raise ValueError(
                 f"signal {_name_of(function)}: expected {wanted}, but received npc={npc}"
             )
-        return values if npc is None else values[npc]
+        if npc is None:
+            return values
+        row: FloatArray = values[npc]
+        return row
 
     def all(self) -> Iterator[tuple[str, FloatArray]]:
         # Yields the name and the values of each measure, with `npcs[0].ttc` and so on for a measure of each NPC.
-        npcs = range(self.trace.states.shape[1] - 1)
-        # The time advantage is defined only for NPCs that cross.
-        crossing = [npc for npc, zone in enumerate(self.trace.zones) if zone is not None]
         for measure in MEASURES:
             vehicle, _, name = measure.name.partition(".")
-            if vehicle == "npcs":
-                for npc in crossing if name == "time_advantage" else npcs:
-                    yield f"npcs[{npc}].{name}", self.values_of(measure.function, npc)
-            else:
+            if vehicle != "npcs":
                 yield measure.name, self.values_of(measure.function)
+                continue
+            for npc in range(len(self.trace.npcs[0])):
+                # The time advantage is defined only for NPCs that cross.
+                if name != "time_advantage" or self.trace.zone_of(npc) is not None:
+                    yield f"npcs[{npc}].{name}", self.values_of(measure.function, npc)
 
     @property
     def ego(self) -> EgoSignals:
@@ -361,7 +376,7 @@ class Signals:
 
     @property
     def npcs(self) -> tuple[NpcSignals, ...]:
-        return tuple(NpcSignals(self, npc) for npc in range(self.trace.states.shape[1] - 1))
+        return tuple(NpcSignals(self, npc) for npc in range(len(self.trace.npcs[0])))
 
 
 def _name_of(function: object) -> str:
@@ -372,14 +387,13 @@ class _Vehicle:
     _of: str
 
     def __init__(self, signals: Signals, npc: int | None = None) -> None:
-        self._signals, self._npc = signals, npc
+        self._signals = signals
+        self._npc = npc
 
     def __dir__(self) -> list[str]:
+        measures = [name.removeprefix(self._of) for name in BY_NAME if name.startswith(self._of)]
         more = [name for name, value in vars(type(self)).items() if isinstance(value, property)]
-        return [
-            *(name.removeprefix(self._of) for name in BY_NAME if name.startswith(self._of)),
-            *more,
-        ]
+        return measures + more
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -419,8 +433,7 @@ class NpcSignals(_Vehicle):
     @property
     def zone(self) -> Zone | None:
         """The zone where the NPC's path crosses the ego's path, or None."""
-        zones = self._signals.trace.zones
-        return zones[self._npc or 0] if zones else None
+        return self._signals.trace.zone_of(self._npc or 0)
 
     @property
     def passage(self) -> Passage | None:

@@ -14,8 +14,13 @@ from itertools import islice
 from types import MappingProxyType, TracebackType
 from typing import Any
 
-from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
-from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
+from pytest_pafot.attribution.responsibility import (
+    Fault,
+    Manoeuvre,
+    Mistake,
+    Responsibility,
+    manoeuvre_before,
+)
 from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.situation import (

@@ -13,8 +13,14 @@ from textwrap import dedent
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self, cast, get_args
 
-from pytest_pafot.attribution.mistakes import BY_FAULT, NOT_GIVEN_WAY, Manoeuvre
-from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
+from pytest_pafot.attribution.responsibility import (
+    BY_FAULT,
+    NOT_GIVEN_WAY,
+    Fault,
+    Manoeuvre,
+    Mistake,
+    Responsibility,
+)
 from pytest_pafot.model.crossings import Kind, Origin, Zone
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome, Side

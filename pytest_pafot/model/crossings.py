@@ -32,12 +32,11 @@ NOT_ON_WAY = 0.5  # the angle to the ego's path above which a vehicle is not on 
 STEP = 0.5  # distance between the points of a path [m]
 APART = 0.7  # the shortest time between two NPCs that drive through the same position [s]
 LENGTH = 5.0  # length of a vehicle [m]
-# The distance between a waiting NPC and its zone [m], and the hardest braking with which it stops there [m/s^2].
-BEFORE_LINE, STOPPING = 2.0, 6.0
+BEFORE_LINE = 2.0  # the distance between a waiting NPC and its zone [m]
+STOPPING = 6.0  # the hardest braking with which it stops there [m/s^2]
 WAITING = ("hold", "late")  # the acts of NPCs that stop at the line before the zone
-# The planned braking of an NPC for its line [m/s^2], and the time that creeping up to the line adds to the braking
-# time [s].
-EASY_BRAKING, CREEPING = 2.5, 2.0
+EASY_BRAKING = 2.5  # the planned braking of an NPC for its line [m/s^2]
+CREEPING = 2.0  # the time that creeping up to the line adds to the braking time [s]
 EARLIER = 1.0  # the time for which an NPC that starts late waits at the line before it sets off [s]
 SETTING_OFF = 2.0  # the acceleration with which a waiting vehicle is expected to set off [m/s^2]
 
@@ -70,7 +69,9 @@ class Zone:
 
     @property
     def whence(self) -> str:
-        return f"from {'the ' if self.origin in ('left', 'right') else ''}{self.origin}"
+        if self.origin in ("left", "right"):
+            return f"from the {self.origin}"
+        return f"from {self.origin}"
 
 
 class CrossingVehicle(NamedTuple):
@@ -138,21 +139,23 @@ class Way:
         return times
 
     def time_at(self, along: float, speed: float) -> float:
-        times, point = self.times(speed), min(max(along / STEP, 0.0), len(self.speeds) - 1.0)
+        times = self.times(speed)
+        point = min(max(along / STEP, 0.0), len(self.speeds) - 1.0)
         before = min(int(point), len(times) - 2)
-        return float(times[before] + (times[before + 1] - times[before]) * (point - before))
+        step = times[before + 1] - times[before]
+        return float(times[before] + step * (point - before))
 
     def speed_at(self, along: float) -> float:
-        return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.speeds))
+        places = np.arange(len(self.speeds)) * STEP
+        return float(np.interp(along, places, self.speeds))
 
     def place_at(self, time: float, speed: float) -> float:
         # Before the entry, the NPC drives at the speed itself.
+        if time < 0:
+            return time * speed
         times = self.times(speed)
-        return (
-            time * speed
-            if time < 0
-            else float(np.interp(time, times, np.arange(len(times)) * STEP))
-        )
+        places = np.arange(len(times)) * STEP
+        return float(np.interp(time, times, places))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,9 +172,8 @@ class Crossings:
     @cached_property
     def zones(self) -> tuple[Zone, ...]:
         # In the order in which the ego reaches them.
-        return tuple(
-            sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way))
-        )
+        zones = [way.zone for way in self.ways.values()]
+        return tuple(sorted(zones, key=lambda zone: (zone.ego, zone.way)))
 
     def entry(self, instruction: CrossingInstruction, ego: Stretch) -> float:
         # The time [s] at which an NPC should enter its zone if the ego is there from ego[0] to ego[1].
@@ -180,20 +182,17 @@ class Crossings:
         crossing = way.time_at(leaves, instruction.speed) - way.time_at(enters, instruction.speed)
         if instruction.slot > 0:
             return ego[1] + instruction.slot
-        return (
-            ego[0] + instruction.slot - crossing
-            if instruction.slot < 0
-            else (sum(ego) - crossing) / 2
-        )
+        if instruction.slot < 0:
+            return ego[0] + instruction.slot - crossing
+        return (sum(ego) - crossing) / 2
 
     def planned_entry(self, instruction: CrossingInstruction) -> float:
         # The time [s] at which an NPC should enter its zone if the ego keeps its initial speed.
         # A negative time is before the start of the run, so the NPC cannot keep its slot.
-        first, last = self.ways[instruction.zone].zone.ego
+        enters, leaves = self.ways[instruction.zone].zone.ego
         speed = max(self.ego_speed, 0.1)
-        return self.entry(
-            instruction, ((first - self.ego_start) / speed, (last - self.ego_start) / speed)
-        )
+        ego = (enters - self.ego_start) / speed, (leaves - self.ego_start) / speed
+        return self.entry(instruction, ego)
 
     def start(self, instruction: CrossingInstruction) -> float:
         # The position [m] at which an NPC must start to keep its slot. An NPC with the act "hold" reaches its line when
@@ -204,7 +203,9 @@ class Crossings:
         line = way.zone.npc[0] - BEFORE_LINE
         speed = min(instruction.speed, way.speed_at(line))
         brakes = line - speed**2 / (2 * EASY_BRAKING)
-        needed = speed / EASY_BRAKING + CREEPING + (EARLIER if instruction.act == "late" else 0.0)
+        needed = speed / EASY_BRAKING + CREEPING
+        if instruction.act == "late":
+            needed += EARLIER
         left = max(self.planned_entry(instruction) - needed, 0.0)
         if brakes < 0:
             return brakes - left * speed
@@ -220,95 +221,108 @@ class Crossings:
         if way is None:
             return False
         # The start must be on the path and before the zone. An NPC that waits at the line needs room to stop there.
-        room = (
-            BEFORE_LINE + instruction.speed**2 / (2 * STOPPING)
-            if instruction.act in WAITING
-            else 0.0
-        )
-        return (
-            self.start(instruction) >= 0
-            and self._start_of_passing(instruction) < way.zone.npc[0] - room
-        )
+        latest = way.zone.npc[0]
+        if instruction.act in WAITING:
+            latest -= BEFORE_LINE + instruction.speed**2 / (2 * STOPPING)
+        return self.start(instruction) >= 0 and self._start_of_passing(instruction) < latest
 
     def windows(self, instruction: CrossingInstruction, stretch: Stretch) -> Stretch:
         # The times [s] between which an NPC is planned to be in the stretch of its path.
         way = self.ways[instruction.zone]
         waits = instruction.act in WAITING
-        line = way.zone.npc[0] - (BEFORE_LINE if waits else 0.0)
-        start, entry = self.start(instruction), self.planned_entry(instruction)
-        first, last = (
-            way.time_at(place, instruction.speed) - way.time_at(start, instruction.speed)
-            if waits and place <= line
-            else entry
-            + way.time_at(place, instruction.speed)
-            - way.time_at(way.zone.npc[0], instruction.speed)
-            for place in stretch
-        )
+        line = way.zone.npc[0]
+        if waits:
+            line -= BEFORE_LINE
+        starts = way.time_at(self.start(instruction), instruction.speed)
+        entry = self.planned_entry(instruction)
+        enters = way.time_at(way.zone.npc[0], instruction.speed)
+        times = []
+        for place in stretch:
+            time = way.time_at(place, instruction.speed)
+            if waits and place <= line:
+                times.append(time - starts)
+            else:
+                times.append(entry + time - enters)
+        first, last = times
         if instruction.act == "pass" or stretch[1] <= line:
             return first, last
         return first, math.inf  # it waits at the line, or stops in the zone, for an unknown time
 
     def clash(self, first: CrossingInstruction, second: CrossingInstruction) -> bool:
         # Two NPCs clash if they would meet, or overtake each other in one lane.
-        if first.zone == second.zone:
-            zone = self.ways[first.zone].zone.npc
-            meetings: tuple[tuple[Stretch, Stretch], ...] = ((zone, zone),)
-        elif (first.zone, second.zone) in self.meetings:
-            meetings = self.meetings[first.zone, second.zone]
-        else:
-            meetings = tuple((b, a) for a, b in self.meetings.get((second.zone, first.zone), ()))
+        meetings = self._meetings(first.zone, second.zone)
         if not meetings:
             return False
         if first.zone.split(">")[0] == second.zone.split(">")[0]:
-            lanes = [((0.0, meetings[0][0][0]), 0.0)]
+            # both start in one lane, which ends where the two paths part
+            lanes: list[tuple[Stretch, float] | None] = [((0.0, meetings[0][0][0]), 0.0)]
         else:
-            found = (
+            lanes = [
                 self._common_lane(first.zone, second.zone, *stretches) for stretches in meetings
-            )
-            lanes = [lane for lane in found if lane is not None]
-        if any(self._crowd(first, second, *lane) for lane in lanes):
-            return True
-        windows = (
-            (self.windows(first, one), self.windows(second, other)) for one, other in meetings
-        )
-        return any(a[0] < b[1] + APART and b[0] < a[1] + APART for a, b in windows)
+            ]
+        for lane in lanes:
+            if lane is not None and self._crowd(first, second, *lane):
+                return True
+        for mine, theirs in meetings:
+            enters, leaves = self.windows(first, mine)
+            its_enters, its_leaves = self.windows(second, theirs)
+            if enters < its_leaves + APART and its_enters < leaves + APART:
+                return True
+        return False
+
+    def _meetings(self, first: str, second: str) -> tuple[tuple[Stretch, Stretch], ...]:
+        if first == second:
+            zone = self.ways[first].zone.npc
+            return ((zone, zone),)
+        if (first, second) in self.meetings:
+            return self.meetings[first, second]
+        return tuple((b, a) for a, b in self.meetings.get((second, first), ()))
 
     def _common_lane(
-        self, first: str, second: str, mine: Stretch, theirs: Stretch
+        self,
+        first: str,
+        second: str,
+        mine: Stretch,
+        theirs: Stretch,
     ) -> tuple[Stretch, float] | None:
         # The stretch of the first path on which both paths share a lane up to their zones, and an offset [m], or None.
         # `mine` and `theirs` are the stretches on which the two paths meet. The offset is the position of a point along
         # the second path minus its position along the first path.
-        zones, farther = (
-            (self.ways[first].zone.npc, self.ways[second].zone.npc),
-            theirs[1] - mine[1],
-        )
-        is_one = all(
-            abs(other - one - farther) <= 2 * STEP for one, other in zip(*zones, strict=True)
-        )
-        return ((mine[1], zones[0][0]), farther) if is_one and mine[1] <= zones[0][0] else None
+        zone = self.ways[first].zone.npc
+        its_zone = self.ways[second].zone.npc
+        farther = theirs[1] - mine[1]
+        for one, other in zip(zone, its_zone, strict=True):
+            if abs(other - one - farther) > 2 * STEP:
+                return None
+        if mine[1] <= zone[0]:
+            return ((mine[1], zone[0]), farther)
+        return None
 
     def _crowd(
-        self, first: CrossingInstruction, second: CrossingInstruction, lane: Stretch, farther: float
+        self,
+        first: CrossingInstruction,
+        second: CrossingInstruction,
+        lane: Stretch,
+        farther: float,
     ) -> bool:
         # Two NPCs in a shared lane must not start too close together, and neither may overtake the other.
         # `farther` is the offset from `_common_lane`. Only the two ends of the lane are checked: the slower NPC takes
         # longer for each part of the lane, so the gap in time is smallest at one of the ends.
-        starts = self.start(first), self.start(second) - farther
-        if min(starts) >= lane[0] and abs(starts[0] - starts[1]) < LENGTH:
+        start = self.start(first)
+        its_start = self.start(second) - farther
+        if min(start, its_start) >= lane[0] and abs(start - its_start) < LENGTH:
             # the times do not show this if an NPC waits at its line and the other starts after the line
             return True
-        since = max(lane[0], *starts)
+        since = max(lane[0], start, its_start)
         order = set()
         for place in (since, max(since, lane[1])):
-            places = place, place + farther
-            (a, _), (b, _) = (
-                self.windows(each, (at, at))
-                for each, at in zip((first, second), places, strict=True)
-            )
-            behind, at = (first, places[0]) if a > b else (second, places[1])
+            its_place = place + farther
+            time, _ = self.windows(first, (place, place))
+            its_time, _ = self.windows(second, (its_place, its_place))
+            is_behind = time > its_time
+            behind, at = (first, place) if is_behind else (second, its_place)
             speed = min(behind.speed, self.ways[behind.zone].speed_at(at))
-            if abs(a - b) < APART + LENGTH / max(speed, 0.1):
+            if abs(time - its_time) < APART + LENGTH / max(speed, 0.1):
                 return True
-            order.add(a > b)
+            order.add(is_behind)
         return len(order) > 1

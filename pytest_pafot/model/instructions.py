@@ -13,8 +13,8 @@ from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, 
 from dataclasses import MISSING, dataclass, fields, replace
 from enum import IntEnum
 from functools import cache, lru_cache
-from itertools import pairwise, repeat
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
+from itertools import compress, pairwise
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeVar, cast, get_args
 
 from pytest_pafot.support.errors import FieldError, checked_number, plain_whole
 from pytest_pafot.support.text import Pasteable
@@ -48,7 +48,8 @@ class Cell(IntEnum):
     LEFT = 8
 
     def __init__(self, number: int) -> None:
-        self.row, self.column = _ROWS[number - 1], _COLUMNS[number - 1]
+        self.row = _ROWS[number - 1]
+        self.column = _COLUMNS[number - 1]
 
     def __repr__(self) -> str:
         return f"Cell.{self.name}"  # can be pasted into code, unlike the repr of other enumerations
@@ -90,23 +91,31 @@ def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> floa
 
 
 def cell_at(
-    longitudinal: float, lateral: float, ego_length: float, lane_width: float
+    longitudinal: float,
+    lateral: float,
+    ego_length: float,
+    lane_width: float,
 ) -> Cell | None:
     """Return the cell that contains a point, or None for the ego's own cell."""
     # The outer rows and columns have no outer limits: a vehicle 80 m ahead in the ego's lane is in cell 2.
-    return _CELLS.get((_third(longitudinal, ego_length / 2), _third(lateral, lane_width / 2)))
+    row = _third(longitudinal, ego_length / 2)
+    column = _third(lateral, lane_width / 2)
+    return _CELLS.get((row, column))
 
 
 def _third(value: float, half: float) -> int:
-    return 1 if value > half else -1 if value < -half else 0
+    if value > half:
+        return 1
+    if value < -half:
+        return -1
+    return 0
 
 
 def toss(seed: int, npc: int, gene: int) -> bool:
     """Toss a fair coin that depends only on the arguments (splitmix64)."""
     mask = 0xFFFFFFFFFFFFFFFF
-    z = (
-        seed * 0x9E3779B97F4A7C15 + npc * 0xBF58476D1CE4E5B9 + (gene + 1) * 0x94D049BB133111EB
-    ) & mask
+    z = seed * 0x9E3779B97F4A7C15 + npc * 0xBF58476D1CE4E5B9 + (gene + 1) * 0x94D049BB133111EB
+    z &= mask
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
     z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & mask
     return bool((z ^ (z >> 31)) & 1)
@@ -136,16 +145,13 @@ def repair_gene(
     are_free = len(wanted) == len(requested) and wanted.issubset(existing)
     if are_free and (previous is None or _STEPS.issuperset(zip(previous, requested, strict=True))):
         return tuple(requested)
-    if previous is None:
-        preferences = [
-            _first_cells(cell, existing, coin) for cell, coin in zip(requested, coins, strict=True)
-        ]
-    else:
-        next_cells = _next_existing_cells if skipping else _next_cells
-        preferences = [
-            next_cells(before, cell, existing, coin)
-            for before, cell, coin in zip(previous, requested, coins, strict=True)
-        ]
+    next_cells = _next_existing_cells if skipping else _next_cells
+    preferences = []
+    for npc, (cell, coin) in enumerate(zip(requested, coins, strict=True)):
+        if previous is None:
+            preferences.append(_first_cells(cell, existing, coin))
+        else:
+            preferences.append(next_cells(previous[npc], cell, existing, coin))
     # NPCs with a smaller index choose first.
     assignment = _assigned(preferences, ())
     if assignment is None:
@@ -162,12 +168,12 @@ def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Ce
     repaired: list[list[Cell]] = [[] for _ in chains]
     for gene in range(max(map(len, chains), default=0)):
         active = [npc for npc, chain in enumerate(chains) if gene < len(chain)]
-        executed = repair_gene(
-            [repaired[npc][-1] for npc in active] if gene else None,
-            [chains[npc][gene] for npc in active],
-            ALL_CELLS,
-            map(toss, repeat(seed), active, repeat(gene)),
-        )
+        previous = None
+        if gene:
+            previous = [repaired[npc][-1] for npc in active]
+        requested = [chains[npc][gene] for npc in active]
+        coins = [toss(seed, npc, gene) for npc in active]
+        executed = repair_gene(previous, requested, ALL_CELLS, coins)
         for npc, cell in zip(active, executed, strict=True):
             repaired[npc].append(cell)
     return tuple(map(tuple, repaired))
@@ -182,43 +188,59 @@ def are_valid(chains: Sequence[Sequence[Cell]]) -> bool:
 
 
 def _first_cells(requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
-    step = 1 if clockwise_first else -1
-    by_distance = [
-        Cell((requested - 1 + step * sign * k) % 8 + 1) for k in range(5) for sign in (1, -1)
-    ]
+    signs = (1, -1) if clockwise_first else (-1, 1)
+    by_distance = [_around(requested, sign * k) for k in range(5) for sign in signs]
     return [cell for cell in dict.fromkeys(by_distance) if cell in existing]
 
 
+def _around(cell: Cell, steps: int) -> Cell:
+    # The cell that is this number of steps clockwise on the ring.
+    return Cell((cell - 1 + steps) % 8 + 1)
+
+
 def _next_cells(
-    previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
+    previous: Cell,
+    requested: Cell,
+    existing: Collection[Cell],
+    clockwise_first: bool,
 ) -> list[Cell]:
-    moves = [
-        cell for cell in _wanted_next(previous, requested, clockwise_first) if cell in existing
-    ]
-    return moves if previous in moves else [*moves, previous]
+    wanted = _wanted_next(previous, requested, clockwise_first)
+    moves = [cell for cell in wanted if cell in existing]
+    if previous not in moves:
+        moves.append(previous)
+    return moves
 
 
 @cache
 def _wanted_next(previous: Cell, requested: Cell, clockwise_first: bool) -> tuple[Cell, ...]:
-    anticlockwise, clockwise = previous.neighbours
-    neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
-    wanted = (requested,) if is_adjacent(previous, requested) else ()
-    return tuple(dict.fromkeys([*wanted, *neighbours]))
+    wanted = list(previous.neighbours)
+    if clockwise_first:
+        wanted.reverse()
+    if is_adjacent(previous, requested):
+        wanted.insert(0, requested)
+    return tuple(dict.fromkeys(wanted))
 
 
 def _next_existing_cells(
-    previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
+    previous: Cell,
+    requested: Cell,
+    existing: Collection[Cell],
+    clockwise_first: bool,
 ) -> list[Cell]:
     # Separate from _next_cells, which must be fast: a search on a straight road calls it for each gene that it repairs.
-    ways = {}
-    for step in (-1, 1):
-        beyond = (Cell((previous - 1 + step * k) % 8 + 1) for k in range(1, 8))
-        ways[step] = next((cell for cell in beyond if cell in existing), previous)
-    toward = {Cell((previous - 1 + step) % 8 + 1): cell for step, cell in ways.items()}
-    allowed = {cell: cell for cell in (previous, *ways.values()) if cell in existing}
-    wanted = allowed.get(requested, None if requested in existing else toward.get(requested))
-    neighbours = (ways[1], ways[-1]) if clockwise_first else (ways[-1], ways[1])
-    moves = [cell for cell in (wanted, *neighbours) if cell is not None and cell in existing]
+    steps = (1, -1) if clockwise_first else (-1, 1)
+    moves: list[Cell] = []
+    for step in steps:
+        beyond = [_around(previous, step * k) for k in range(1, 8)]
+        near = next((cell for cell in beyond if cell in existing), previous)
+        # a missing neighbour stands for the next cell that exists in its direction
+        if requested == near or (requested == beyond[0] and requested not in existing):
+            moves.insert(0, near)
+        else:
+            moves.append(near)
+    if requested == previous:
+        moves.insert(0, previous)
+    moves = [cell for cell in moves if cell in existing]
     return list(dict.fromkeys([*moves, previous]))
 
 
@@ -230,7 +252,10 @@ def _assigned(
     if len(taken) == len(preferences):
         return taken
     for cell in preferences[len(taken)]:
-        if cell not in taken and (found := _assigned(preferences, (*taken, cell))) is not None:
+        if cell in taken:
+            continue
+        found = _assigned(preferences, (*taken, cell))
+        if found is not None:
             return found
     return None
 
@@ -249,6 +274,12 @@ class ScenarioError(FieldError):
     """An error for a scenario that breaks a rule."""
 
 
+def set_fields(frozen: object, **values: Any) -> None:
+    """Set fields of a frozen dataclass, which is allowed only in its ``__post_init__``."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
 class Choices(NamedTuple):
     """The range of target speeds in a search, in tenths of m/s."""
 
@@ -257,6 +288,14 @@ class Choices(NamedTuple):
 
     def any_speed(self, rng: Generator) -> float:
         return int(rng.integers(self.low, self.top + 1)) / SPEED_STEPS_PER_MPS
+
+
+T = TypeVar("T")
+
+
+def pick(options: Sequence[T], rng: Generator) -> T:
+    """Return one of several options at random, all with the same probability."""
+    return options[int(rng.integers(len(options)))]
 
 
 class Instruction(Pasteable, ABC):
@@ -311,15 +350,12 @@ class Instruction(Pasteable, ABC):
         """Return the instruction from the output of :meth:`plain`."""
 
     def in_file(self) -> dict[str, Any]:
-        given = [(each, getattr(self, each.name)) for each in fields(cast("Any", self))]
-        told = {
-            each.name: value
-            for each, value in given
-            if each.default is MISSING or value != each.default
-        }
-        return {
-            name: value.label if isinstance(value, Cell) else value for name, value in told.items()
-        }
+        told = {}
+        for each in fields(cast("Any", self)):
+            value = getattr(self, each.name)
+            if each.default is MISSING or value != each.default:
+                told[each.name] = value.label if isinstance(value, Cell) else value
+        return told
 
     # Chains.
 
@@ -401,14 +437,15 @@ class TimedInstruction(Instruction):
 
     __slots__ = ("code", "target", "text")
 
+    targets: ClassVar[Sequence[Any]]
+    # All targets that a gene of this kind can have.
     target: int | str
     code: float
     text: str
 
     def _prepare(self, target: int | str, number: int) -> None:
-        object.__setattr__(self, "target", target)
-        object.__setattr__(self, "code", CODES_PER_TARGET * number + self.speed)
-        object.__setattr__(self, "text", encoded(self.plain()))
+        set_fields(self, target=target, code=CODES_PER_TARGET * number + self.speed)
+        set_fields(self, text=encoded(self.plain()))  # needs the target
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A cached constructor call, because runs travel between processes with dozens of equal genes.
@@ -423,6 +460,15 @@ class TimedInstruction(Instruction):
 
     def aimed(self, target: Any) -> Self:
         return cast("Self", known(type(self), target, self.speed))
+
+    def varied(self, choices: Choices, rng: Generator) -> Self:
+        # Uniform over all targets, whether or not another NPC has the cell.
+        target = pick(self.targets, rng)
+        return cast("Self", known(type(self), target, choices.any_speed(rng)))
+
+    @classmethod
+    def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[Self]:
+        return [known(cls, target, speed) for target in cls.targets for speed in speeds]
 
 
 @lru_cache(maxsize=1 << 15, typed=True)
@@ -439,22 +485,27 @@ def checked_speed(value: object, least_steps: int = 0) -> float:
     speed = checked_number(value, "speed", "a finite number", error=ScenarioError)
     if speed > MAX_SPEED:
         raise ScenarioError(
-            field="speed", expected=f"a speed of at most {MAX_SPEED:g} m/s", received=repr(value)
+            field="speed",
+            expected=f"a speed of at most {MAX_SPEED:g} m/s",
+            received=repr(value),
         )
     # a value far below 0 would overflow when multiplied by 10
     steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
         nearest = max(steps, least_steps) / SPEED_STEPS_PER_MPS  # `least_steps` is valid
-        expected, fix = (
-            "a non-negative multiple of 0.1 m/s",
-            f"the nearest valid speed is {nearest:g} m/s",
+        raise ScenarioError(
+            field="speed",
+            expected="a non-negative multiple of 0.1 m/s",
+            received=repr(value),
+            fix=f"the nearest valid speed is {nearest:g} m/s",
         )
-        raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
 
 
 def roughness(
-    tenths: int, coarse: int = 5 * SPEED_STEPS_PER_MPS, fine: int = SPEED_STEPS_PER_MPS
+    tenths: int,
+    coarse: int = 5 * SPEED_STEPS_PER_MPS,
+    fine: int = SPEED_STEPS_PER_MPS,
 ) -> int:
     """Return 0 for a multiple of ``coarse``, 1 for a multiple of ``fine``, otherwise 2."""
     return (tenths % coarse > 0) + (tenths % fine > 0)
@@ -478,6 +529,7 @@ class PositionInstruction(TimedInstruction):
 
     on_grid = True
     goal_kind = "cell"
+    targets = tuple(Cell)
 
     def __post_init__(self) -> None:
         if type(self.cell) is not Cell:
@@ -487,29 +539,21 @@ class PositionInstruction(TimedInstruction):
                     "a whole number from 1 (front-left) to 8 (left), clockwise around the ego"
                 )
                 raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
-            object.__setattr__(self, "cell", Cell(number))
-        object.__setattr__(self, "speed", checked_speed(self.speed))
+            set_fields(self, cell=Cell(number))
+        set_fields(self, speed=checked_speed(self.speed))
         self._prepare(int(self.cell), int(self.cell))
 
     @property
     def goal(self) -> str:
         return f"{int(self.cell)} {self.cell.label}"
 
-    def varied(self, choices: Choices, rng: Generator) -> PositionInstruction:
-        # Uniform over the eight cells, whether or not another NPC has the cell.
-        cell = int(rng.integers(1, 9))
-        gene: PositionInstruction = known(PositionInstruction, cell, choices.any_speed(rng))
-        return gene
-
     def moves(self, before: Any) -> int:
         return int(before is not None and before.cell != self.cell)
 
     def staying(self, before: Any) -> PositionInstruction | None:
-        return None if before is None else PositionInstruction(before.cell, self.speed)
-
-    @classmethod
-    def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[PositionInstruction]:
-        return [PositionInstruction(cell, speed) for cell in Cell for speed in speeds]
+        if before is None:
+            return None
+        return PositionInstruction(before.cell, self.speed)
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         return {"requested": int(requested.cell), "cell": int(self.cell)}
@@ -540,30 +584,31 @@ class LaneInstruction(TimedInstruction):
     speed: float
 
     goal_kind = "lane"
+    targets = SHIFTS
 
     def __post_init__(self) -> None:
         if self.lane not in SHIFTS:
             raise ScenarioError(
-                field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane)
+                field="lane",
+                expected=f"one of {', '.join(SHIFTS)}",
+                received=repr(self.lane),
             )
-        object.__setattr__(self, "lane", str(self.lane))
-        object.__setattr__(self, "speed", checked_speed(self.speed))
+        set_fields(self, lane=str(self.lane), speed=checked_speed(self.speed))
         self._prepare(self.lane, 9 + SHIFTS.index(self.lane))
 
     @property
     def column(self) -> int:
-        return (0, -1, 1)[SHIFTS.index(self.lane)]
+        return {"keep": 0, "left": -1, "right": 1}[self.lane]
 
     @property
     def goal(self) -> str:
-        return "keep lane" if self.lane == "keep" else f"one lane {self.lane}"
+        if self.lane == "keep":
+            return "keep lane"
+        return f"one lane {self.lane}"
 
     @property
     def afterwards(self) -> LaneInstruction:
         return replace(self, lane="keep")
-
-    def varied(self, choices: Choices, rng: Generator) -> LaneInstruction:
-        return random_lanes(choices, 1, 1, rng)[0][0]
 
     def moves(self, before: Any) -> int:
         return int(self.lane != "keep")
@@ -576,64 +621,73 @@ class LaneInstruction(TimedInstruction):
         there = cell_at(cell.row, cell.column + self.column, 1.0, 1.0)  # a grid of 1 m by 1 m
         return PositionInstruction(there or cell, self.speed)
 
-    @classmethod
-    def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[LaneInstruction]:
-        return [LaneInstruction(lane, speed) for lane in SHIFTS for speed in speeds]
-
     def words(self, apart: float) -> str:
-        before = apart
-        if math.isnan(before):
+        if math.isnan(apart):
             return self.goal
-        after = before + self.column
-        if before == 0 != after:
+        after = apart + self.column
+        if apart == 0 != after:
             return f"out of the ego's lane to the {self.lane}"
-        if after == 0 != before:
-            return f"from the {'left' if before < 0 else 'right'} into the ego's lane"
-        number = {0: "", 1: "", 2: "2nd ", 3: "3rd "}.get(far := round(abs(after)), f"{far}th ")
-        place = (
-            f"the {number}lane {'left' if after < 0 else 'right'} of the ego"
-            if after
-            else "the ego's lane"
-        )
-        return f"{'keep' if before == after else 'into'} {place}"
+        if after == 0 != apart:
+            return f"from the {_side(apart)} into the ego's lane"
+        verb = "keep" if apart == after else "into"
+        if after == 0:
+            return f"{verb} the ego's lane"
+        far = round(abs(after))
+        number = {0: "", 1: "", 2: "2nd ", 3: "3rd "}.get(far, f"{far}th ")
+        return f"{verb} the {number}lane {_side(after)} of the ego"
 
     def row(self, apart: float, end: str, *, names_side: bool) -> str:
         # A narrow table has no room for the side.
         words = self.words(apart)
-        words = words if names_side else re.sub("^from the [a-z]+ | to the [a-z]+$", "", words)
-        return f"{words} {self.speed:.1f} m/s{'' if self.lane == 'keep' else f' {end}'}"
+        if not names_side:
+            words = re.sub("^from the [a-z]+ | to the [a-z]+$", "", words)
+        if self.lane == "keep":
+            end = ""
+        return f"{words} {self.speed:.1f} m/s {end}".rstrip()
 
     def lasting(self, later: Any) -> int | None:
-        return self.column if later.lane == "keep" else None
+        if later.lane == "keep":
+            return self.column
+        return None
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
-        words = self.words(apart) + ("" if self == requested else f" (requested {requested.goal})")
+        words = self.words(apart)
+        if self != requested:
+            words = f"{words} (requested {requested.goal})"
         return {"lane": self.lane, "words": words}
 
 
+def _side(apart: float) -> str:
+    if apart < 0:
+        return "left"
+    return "right"
+
+
 def random_lanes(
-    choices: Choices, npcs: int, genes: int, rng: Generator
+    choices: Choices,
+    npcs: int,
+    genes: int,
+    rng: Generator,
 ) -> list[list[LaneInstruction]]:
     """Sample chains of ``LaneInstruction`` uniformly."""
     shifts = rng.integers(len(SHIFTS), size=(npcs, genes)).tolist()
     speeds = rng.integers(choices.low, choices.top + 1, size=(npcs, genes)).tolist()
-    return [
-        [
-            known(LaneInstruction, SHIFTS[shift], speed / SPEED_STEPS_PER_MPS)
-            for shift, speed in zip(*chain, strict=True)
-        ]
-        for chain in zip(shifts, speeds, strict=True)
-    ]
+    targets = [[SHIFTS[shift] for shift in chain] for chain in shifts]
+    return chains_of(LaneInstruction, targets, speeds)
 
 
-# The five named intervals of slots, each with its end [s]. They divide the time at a zone as cells divide the grid.
-SLOTS = {
-    "well before": -1.0,
-    "just before": 0.0,
-    "together": 0.0,
-    "just after": 1.0,
-    "well after": math.inf,
-}
+def chains_of(
+    kind: Callable[[Any, Any], TimedInstruction],
+    targets: Sequence[Sequence[Any]],
+    speeds: Sequence[Sequence[int]],
+) -> list[list[Any]]:
+    """Build a chain for each NPC from its targets and its speeds, which are in units of 0.1 m/s."""
+    chains = []
+    for row, steps in zip(targets, speeds, strict=True):
+        pairs = zip(row, steps, strict=True)
+        chains.append([known(kind, target, step / SPEED_STEPS_PER_MPS) for target, step in pairs])
+    return chains
+
 
 SLOT_STEPS_PER_SECOND = 10  # slots are multiples of 0.1 s
 
@@ -650,7 +704,8 @@ LARGEST_SLOT = 5.0
 ZONE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,30}>[A-Za-z0-9_.-]{1,30}")
 
 # The steps to which shrinking rounds a slot, in tenths of a second.
-SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
+SECOND = SLOT_STEPS_PER_SECOND
+HALF = SECOND // 2
 
 SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)  # slots of NPCs that cross in small scenarios [s]
 
@@ -684,19 +739,23 @@ class CrossingInstruction(Instruction):
             raise ScenarioError(field="zone", expected=expected, received=f"{self.zone!r:.100}")
         if self.act not in ACTS:
             raise ScenarioError(
-                field="act", expected=f"one of {', '.join(ACTS)}", received=f"{self.act!r:.100}"
+                field="act",
+                expected=f"one of {', '.join(ACTS)}",
+                received=f"{self.act!r:.100}",
             )
-        object.__setattr__(self, "zone", str(self.zone))
-        object.__setattr__(self, "act", str(self.act))
-        object.__setattr__(self, "slot", _checked_slot(self.slot))
-        object.__setattr__(self, "speed", checked_speed(self.speed, least_steps=1))
+        set_fields(
+            self,
+            zone=str(self.zone),
+            slot=_checked_slot(self.slot),
+            speed=checked_speed(self.speed, least_steps=1),
+            act=str(self.act),
+        )
         if self.speed <= 0:
-            expected, fix = (
-                "a speed above 0 m/s, so that the NPC reaches the zone",
-                'use act="stop" to stop there',
-            )
             raise ScenarioError(
-                field="speed", expected=expected, received=repr(self.speed), fix=fix
+                field="speed",
+                expected="a speed above 0 m/s, so that the NPC reaches the zone",
+                received=repr(self.speed),
+                fix='use act="stop" to stop there',
             )
 
     @property
@@ -704,39 +763,35 @@ class CrossingInstruction(Instruction):
         return self.zone
 
     @property
-    def interval(self) -> str:
-        # Such as `just after`.
-        if self.slot == 0:
-            return "together"
-        if self.slot < 0:
-            return "well before" if self.slot <= SLOTS["well before"] else "just before"
-        return "just after" if self.slot < SLOTS["just after"] else "well after"
-
-    @property
     def goal(self) -> str:
-        return ", ".join(filter(None, (f"{self.zone} {self.when}", self.deed)))
+        return self._described(f"{self.zone} {self.when}")
 
     @property
     def when(self) -> str:
         if self.slot == 0:
             return "together with the ego"
-        return f"{abs(self.slot):g} s {'after the ego leaves' if self.slot > 0 else 'before the ego enters'}"
+        if self.slot > 0:
+            return f"{self.slot:g} s after the ego leaves"
+        return f"{-self.slot:g} s before the ego enters"
 
-    @property
-    def deed(self) -> str:
-        return {
+    def _described(self, *texts: str) -> str:
+        deed = {
             "pass": "",
             "hold": "holds at the line",
             "stop": "stops there",
             "late": "starts late",
         }[self.act]
+        return ", ".join(filter(None, (*texts, deed)))
 
     def words_from(self, whence: str) -> str:
-        return ", ".join(filter(None, (whence, self.when, self.deed)))
+        return self._described(whence, self.when)
 
     @property
     def short(self) -> str:
-        return f"{self.zone}@{self.speed:g} {self.slot:+g} s{'' if self.act == 'pass' else f' {self.act}'}"
+        text = f"{self.target}@{self.speed:g} {self.slot:+g} s"
+        if self.act == "pass":
+            return text
+        return f"{text} {self.act}"
 
     def plain(self) -> list[Any]:
         return [self.zone, self.speed, self.slot, self.act]
@@ -750,17 +805,11 @@ class CrossingInstruction(Instruction):
         # Slot, speed and act are each swapped or not, at random.
         if not isinstance(other, CrossingInstruction) or other.zone != self.zone:
             return None
-        slot, speed, act = (bool(each) for each in rng.integers(2, size=3))
-
-        def child(own: CrossingInstruction, other: CrossingInstruction) -> CrossingInstruction:
-            return replace(
-                own,
-                slot=other.slot if slot else own.slot,
-                speed=other.speed if speed else own.speed,
-                act=other.act if act else own.act,
-            )
-
-        return child(self, other), child(other, self)
+        is_swapped = rng.integers(2, size=3).tolist()
+        names = list(compress(("slot", "speed", "act"), is_swapped))
+        mine: dict[str, Any] = {name: getattr(self, name) for name in names}
+        its: dict[str, Any] = {name: getattr(other, name) for name in names}
+        return replace(self, **its), replace(other, **mine)
 
     def moves(self, before: Any) -> int:
         return int(self.act != "pass")
@@ -781,25 +830,22 @@ class CrossingInstruction(Instruction):
     def plainer(self) -> Iterator[CrossingInstruction]:
         # Rounder slots come first, then slots nearer to 0.
         slot = self._tenths
-        rounded = [
-            below
-            for unit in (SECOND, HALF)
-            for below in (slot // unit * unit, -(-slot // unit) * unit)
-        ]
-        nearer = [
-            slot - math.copysign(step, slot) for step in (SECOND, HALF, 1) if step <= abs(slot)
-        ]
-        for tenths in dict.fromkeys((0, *rounded, *nearer)):
+        tried: list[float] = [0]
+        for unit in (SECOND, HALF):
+            tried += [slot // unit * unit, -(-slot // unit) * unit]
+        for step in (SECOND, HALF, 1):
+            if step <= abs(slot):
+                tried.append(slot - math.copysign(step, slot))
+        for tenths in dict.fromkeys(tried):
             yield replace(self, slot=tenths / SLOT_STEPS_PER_SECOND)
 
     @classmethod
     def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[CrossingInstruction]:
-        places = dict.fromkeys(
+        rounded = [
             (each.zone, round(each.speed / unit) * unit) for unit in (5.0, 1.0) for each in found
-        )
-        return [
-            cls(zone, slot, speed) for slot in SMALL_SLOTS for zone, speed in places if speed > 0
         ]
+        places = [(zone, speed) for zone, speed in dict.fromkeys(rounded) if speed > 0]
+        return [cls(zone, slot, speed) for slot in SMALL_SLOTS for zone, speed in places]
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         return {"zone": self.zone, "words": self.words_from(whence)}
@@ -811,12 +857,16 @@ def _checked_slot(value: object) -> float:
         expected = f"a time from -{LARGEST_SLOT:g} to {LARGEST_SLOT:g} s relative to the ego"
         raise ScenarioError(field="slot", expected=expected, received=repr(value))
     steps = round(slot * SLOT_STEPS_PER_SECOND)
+    nearest = steps / SLOT_STEPS_PER_SECOND
     if abs(slot * SLOT_STEPS_PER_SECOND - steps) > 1e-6:
-        fix = f"the nearest valid slot is {steps / SLOT_STEPS_PER_SECOND:g} s"
+        fix = f"the nearest valid slot is {nearest:g} s"
         raise ScenarioError(
-            field="slot", expected="a multiple of 0.1 s", received=repr(value), fix=fix
+            field="slot",
+            expected="a multiple of 0.1 s",
+            received=repr(value),
+            fix=fix,
         )
-    return steps / SLOT_STEPS_PER_SECOND + 0.0
+    return nearest + 0.0
 
 
 # All kinds.

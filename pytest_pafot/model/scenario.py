@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING, Any, cast
@@ -24,6 +24,7 @@ from pytest_pafot.model.instructions import (
     instruction_of,
     is_adjacent,
     repair_chains,
+    set_fields,
 )
 from pytest_pafot.model.vehicle_type import (
     CAR,
@@ -35,12 +36,13 @@ from pytest_pafot.model.vehicle_type import (
     without_last_cars,
 )
 from pytest_pafot.support.errors import POSITIVE, FieldError, checked_number, checked_whole
-from pytest_pafot.support.text import Pasteable
+from pytest_pafot.support.text import Pasteable, listed
 
 PAPER_SPEED_LIMIT = 26.8  # the speed limit on the paper's motorway, 60 mph [m/s]
-# The defaults of a scenario: the ego's initial lane, counted from 0 at the left; the initial speed of all vehicles
-# [m/s]; the duration of an instruction, as in the paper [s].
-EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
+# The defaults of a scenario.
+EGO_LANE = 1  # the ego's initial lane, counted from 0 at the left
+EGO_SPEED = 22.0  # the initial speed of all vehicles [m/s]
+GENE_SECONDS = 10.0  # the duration of an instruction, as in the paper [s]
 
 # The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit in a C integer.
 LONGEST_GENE = 86400.0
@@ -56,6 +58,8 @@ if TYPE_CHECKING:
 
 # The chain of one NPC: its instructions in the order in which it executes them.
 Chromosome = tuple[Instruction, ...]
+# The chains of all NPCs.
+Chains = Sequence[Sequence[Instruction]]
 
 
 class _Hashed(Pasteable):
@@ -96,45 +100,58 @@ class Scenario(_Hashed):
     if TYPE_CHECKING:  # the arguments have wider types than the fields
 
         def __init__(
-            self, *, npcs: Sequence[Sequence[Instruction]], seed: int = 0, ego_lane: int = 1, ego_speed: float = 22.0,
+            self, *, npcs: Chains, seed: int = 0, ego_lane: int = 1, ego_speed: float = 22.0,
             gene_seconds: float = 10.0, traffic: Style = PAPERS, vehicles: Sequence[VehicleType | VehicleName] = (),
         ) -> None: ...  # fmt: skip
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "npcs", _checked_chains(self.npcs))
-        if self.vehicles != ():
-            object.__setattr__(self, "vehicles", _checked_vehicles(self.vehicles, len(self.npcs)))
-        object.__setattr__(self, "seed", _checked_whole("seed", self.seed, MAX_SEED))
-        object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
-        speed = checked_number(
-            self.ego_speed, "ego_speed", "a speed of at least 0 m/s", least=0.0, error=ScenarioError
+        npcs = _checked_chains(self.npcs)
+        vehicles = self.vehicles
+        if vehicles != ():
+            vehicles = _checked_vehicles(vehicles, len(npcs))
+        seed = _checked_whole("seed", self.seed, MAX_SEED)
+        ego_lane = _checked_whole("ego_lane", self.ego_lane, 1000)
+        ego_speed = checked_number(
+            self.ego_speed,
+            "ego_speed",
+            "a speed of at least 0 m/s",
+            least=0.0,
+            error=ScenarioError,
         )
-        # -0.0 becomes 0.0, so that equal scenarios have equal texts
-        object.__setattr__(self, "ego_speed", speed + 0.0)
-        expected = f"a duration of more than 0 s and at most {LONGEST_GENE:g} s"
-        seconds = checked_number(
+        gene_seconds = checked_number(
             self.gene_seconds,
             "gene_seconds",
-            expected,
+            f"a duration of more than 0 s and at most {LONGEST_GENE:g} s",
             least=POSITIVE,
             most=LONGEST_GENE,
             error=ScenarioError,
         )
-        object.__setattr__(self, "gene_seconds", seconds)
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
             expected = f"one of {', '.join(STYLES)}"
             raise ScenarioError(
-                field="traffic", expected=expected, received=f"{self.traffic!r:.100}"
+                field="traffic",
+                expected=expected,
+                received=f"{self.traffic!r:.100}",
             )
-        object.__setattr__(self, "traffic", str(self.traffic))
+        set_fields(
+            self,
+            npcs=npcs,
+            seed=seed,
+            ego_lane=ego_lane,
+            # -0.0 becomes 0.0, so that equal scenarios have equal texts
+            ego_speed=ego_speed + 0.0,
+            gene_seconds=gene_seconds,
+            traffic=str(self.traffic),
+            vehicles=vehicles,
+        )
         if not are_valid([[gene.cell for gene in chain] for chain in self.positions]):
-            _check_adjacency(self.npcs)
-            _check_distinct(self.npcs)
+            _check_adjacency(npcs)
+            _check_distinct(npcs)
 
     @classmethod
     def repaired(
         cls,
-        npcs: Sequence[Sequence[Instruction]],
+        npcs: Chains,
         *,
         seed: int = 0,
         ego_lane: int = EGO_LANE,
@@ -146,21 +163,20 @@ class Scenario(_Hashed):
         """Make a scenario from chains, and repair invalid cells."""
         return cls(
             # A cell is invalid if the NPC cannot reach it from the previous cell in one step, or if two NPCs occupy it.
-            npcs=_repaired(npcs, seed),
+            npcs=repaired_chains(_checked_chains(npcs), _checked_whole("seed", seed, MAX_SEED)),
             seed=seed,
             ego_lane=ego_lane,
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
             traffic=traffic,
-            vehicles=_checked_vehicles(vehicles, len(npcs)),
+            vehicles=vehicles,
         )
 
     @classmethod
     def trusted(cls, **fields: Any) -> Scenario:
         # Without checks, for a search in which children consist of checked genes.
         scenario = object.__new__(cls)
-        for name, value in fields.items():
-            object.__setattr__(scenario, name, value)
+        set_fields(scenario, **fields)
         return scenario
 
     def __hash__(self) -> int:
@@ -168,11 +184,8 @@ class Scenario(_Hashed):
         try:
             return self._hash
         except AttributeError:
-            object.__setattr__(
-                self,
-                "_hash",
-                hash((self.seed, *[gene.speed for chain in self.npcs for gene in chain])),
-            )
+            speeds = [gene.speed for chain in self.npcs for gene in chain]
+            set_fields(self, _hash=hash((self.seed, *speeds)))
             return self._hash
 
     @property
@@ -183,8 +196,11 @@ class Scenario(_Hashed):
     @property
     def crossings(self) -> tuple[CrossingInstruction | None, ...]:
         """Each NPC's ``CrossingInstruction`` or None; empty if no NPC crosses."""
-        found: list[Any] = [chain[0] if chain[0].crosses else None for chain in self.npcs]
-        return tuple(found) if any(found) else ()
+        first = [chain[0] for chain in self.npcs]
+        found: list[Any] = [gene if gene.crosses else None for gene in first]
+        if any(found):
+            return tuple(found)
+        return ()
 
     @property
     def genes(self) -> int:
@@ -194,7 +210,9 @@ class Scenario(_Hashed):
     @property
     def seconds(self) -> float:
         """The duration [s] of the longest chain, or infinity if an NPC crosses."""
-        return math.inf if self.crossings else self.genes * self.gene_seconds
+        if self.crossings:
+            return math.inf
+        return self.genes * self.gene_seconds
 
     @property
     def id(self) -> str:
@@ -210,10 +228,12 @@ class Scenario(_Hashed):
 
     @property
     def _beside_chains(self) -> list[Any]:
-        traffic: list[Any] = [] if self.traffic == PAPERS else [self.traffic]
-        # the only list here
-        vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []
-        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *vehicles]
+        found: list[Any] = [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds]
+        if self.traffic != PAPERS:
+            found.append(self.traffic)
+        if self.vehicles:
+            found.append([each.plain() for each in self.vehicles])  # the only list here
+        return found
 
     @property
     def chains_text(self) -> str:
@@ -224,7 +244,9 @@ class Scenario(_Hashed):
     def from_canonical(cls, fields: Any) -> Scenario:
         # The inverse of `plain`. Any other value raises a ScenarioError, TypeError or ValueError.
         npcs, seed, ego_lane, ego_speed, gene_seconds, *others = fields
-        vehicles = others.pop() if others and isinstance(others[-1], list) else ()
+        vehicles: Sequence[Any] = ()
+        if others and isinstance(others[-1], list):
+            vehicles = others.pop()
         return cls(
             npcs=tuple(tuple(map(instruction_of, chain)) for chain in npcs),
             seed=seed,
@@ -232,54 +254,51 @@ class Scenario(_Hashed):
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
             traffic=others[0] if others else PAPERS,
-            vehicles=tuple(vehicles),
+            vehicles=vehicles,
         )
 
     def rechained(
-        self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None
+        self,
+        npcs: Chains,
+        gene_seconds: float | None = None,
     ) -> Scenario:
-        chains = _repaired(npcs, self.seed)
+        chains = repaired_chains(_checked_chains(npcs), self.seed)
         if gene_seconds is not None:
             return replace(self, npcs=chains, gene_seconds=gene_seconds)
-        return Scenario.trusted(
-            npcs=chains,
-            seed=self.seed,
-            ego_lane=self.ego_lane,
-            ego_speed=self.ego_speed,
-            gene_seconds=self.gene_seconds,
-            traffic=self.traffic,
-            vehicles=self.vehicles,
-        )
+        same = {each.name: getattr(self, each.name) for each in fields(self)}
+        return Scenario.trusted(**same | {"npcs": chains})
 
     def vehicle_of(self, npc: int) -> VehicleType:
-        return self.vehicles[npc] if npc < len(self.vehicles) else CAR
+        if npc < len(self.vehicles):
+            return self.vehicles[npc]
+        return CAR
 
     @property
     def all_vehicles(self) -> tuple[VehicleType, ...]:
-        return self.vehicles + (CAR,) * (len(self.npcs) - len(self.vehicles))
+        return tuple(map(self.vehicle_of, range(len(self.npcs))))
 
     def of_npcs(self, npcs: Iterable[int], **changes: Any) -> Scenario:
         kept = tuple(npcs)
-        vehicles = tuple(map(self.vehicle_of, kept)) if self.vehicles else ()
-        return replace(
-            self, npcs=tuple(self.npcs[npc] for npc in kept), vehicles=vehicles, **changes
-        )
+        vehicles = tuple(map(self.vehicle_of, kept))
+        chains = tuple(self.npcs[npc] for npc in kept)
+        return replace(self, npcs=chains, vehicles=vehicles, **changes)
 
     def with_vehicle(self, npc: int, vehicle: VehicleType) -> Scenario:
-        return replace(
-            self, vehicles=(*self.all_vehicles[:npc], vehicle, *self.all_vehicles[npc + 1 :])
-        )
+        vehicles = list(self.all_vehicles)
+        vehicles[npc] = vehicle
+        return replace(self, vehicles=tuple(vehicles))
 
     def truncated(self, genes: int) -> Scenario:
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
 
     def __str__(self) -> str:
-        kinds = ["" if kind == CAR else f"{kind.name} " for kind in self.all_vehicles]
-        chains = "; ".join(
-            kind + " ".join(gene.short for gene in chain)
-            for kind, chain in zip(kinds, self.npcs, strict=True)
-        )
-        return f"<Scenario {self.id}: {chains}>"
+        texts = []
+        for vehicle, chain in zip(self.all_vehicles, self.npcs, strict=True):
+            genes = [gene.short for gene in chain]
+            if vehicle != CAR:
+                genes.insert(0, vehicle.name)
+            texts.append(" ".join(genes))
+        return f"<Scenario {self.id}: {'; '.join(texts)}>"
 
 
 def rng_of(seed: int | Sequence[int], *part: int) -> Generator:
@@ -298,7 +317,12 @@ def _canonical(scenario: Scenario) -> str:
 
 def _checked_whole(name: str, value: object, top: int) -> int:
     return checked_whole(
-        value, name, f"a whole number from 0 to {top}", least=0, most=top, error=ScenarioError
+        value,
+        name,
+        f"a whole number from 0 to {top}",
+        least=0,
+        most=top,
+        error=ScenarioError,
     )
 
 
@@ -311,32 +335,35 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     if not 1 <= len(chains) <= 8:
         raise ScenarioError(
-            field="npcs", expected="1 to 8 NPCs, at most one per cell", received=str(len(chains))
+            field="npcs",
+            expected="1 to 8 NPCs, at most one per cell",
+            received=str(len(chains)),
         )
     for npc, chain in enumerate(chains):
-        is_one_kind = len({*map(type, chain)}) == 1 and isinstance(chain[0], Instruction)
+        is_one_kind = len(set(map(type, chain))) == 1 and isinstance(chain[0], Instruction)
         if is_one_kind and (len(chain) == 1 or not chain[0].crosses):
             continue  # skips the slower checks for the usual chains
         if not chain:
             expected = "at least one instruction"
             raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
         for gene, each in enumerate(chain):
+            kind = type(chain[0])
             if not isinstance(each, Instruction):
-                *names, last = [f"a {kind.__name__}" for kind in KINDS]
-                expected = f"{', '.join(names)} or {last}"
+                expected = listed([f"a {kind.__name__}" for kind in KINDS], "or")
                 fix = "write, for example, PositionInstruction(cell, speed)"
-            elif type(each) is not (kind := type(chain[0])):
+            elif type(each) is not kind:
                 expected = f"a {kind.__name__}, as in npcs[{npc}][0]"
                 fix = "give each NPC only one kind of instruction"
             elif gene and each.crosses:
-                expected, fix = (
-                    f"no second {kind.__name__} for the same NPC",
-                    "give it to another NPC",
-                )
+                expected = f"no second {kind.__name__} for the same NPC"
+                fix = "give it to another NPC"
             else:
                 continue
             raise ScenarioError(
-                field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix
+                field=f"npcs[{npc}][{gene}]",
+                expected=expected,
+                received=repr(each),
+                fix=fix,
             )
     return chains
 
@@ -345,16 +372,21 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
     if isinstance(vehicles, (str, Mapping)) or not isinstance(vehicles, Iterable):
         fix = 'write, for example, vehicles=("truck",)'
         raise ScenarioError(
-            field="vehicles", expected="a list of vehicles", received=f"{vehicles!r:.100}", fix=fix
+            field="vehicles",
+            expected="a list of vehicles",
+            received=f"{vehicles!r:.100}",
+            fix=fix,
         )
     found = []
     for npc, each in enumerate(vehicles):
         try:
             found.append(VehicleType.parse(each))
         except FieldError as error:
-            name = "" if error.field == "vehicle" else f".{error.field}"
+            place = f"vehicles[{npc}]"
+            if error.field != "vehicle":
+                place = f"{place}.{error.field}"
             raise ScenarioError(
-                field=f"vehicles[{npc}]{name}",
+                field=place,
                 expected=error.expected,
                 received=error.received,
                 fix=error.fix,
@@ -365,19 +397,18 @@ def _checked_vehicles(vehicles: object, npcs: int) -> tuple[VehicleType, ...]:
     return without_last_cars(found)
 
 
-def _repaired(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromosome, ...]:
+def repaired_chains(npcs: Chains, seed: int) -> tuple[Chromosome, ...]:
+    """Return chains with valid cells. Valid chains are unchanged."""
     # Random choices of the repair depend only on the seed, the NPC and the gene.
-    chains = _checked_chains(npcs)
+    chains = tuple(map(tuple, npcs))
     wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
     if are_valid(wanted):
         return chains
-    return with_targets(
-        chains, on_grid(chains, repair_chains(wanted, _checked_whole("seed", seed, MAX_SEED)))
-    )
+    return with_targets(chains, on_grid(chains, repair_chains(wanted, seed)))
 
 
 def positions_of(
-    npcs: Sequence[Sequence[Instruction]],
+    npcs: Chains,
 ) -> tuple[tuple[PositionInstruction, ...], ...]:
     """Return the chains of ``PositionInstruction``."""
     return cast(
@@ -386,9 +417,7 @@ def positions_of(
     )
 
 
-def on_grid(
-    npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]]
-) -> list[Sequence[Cell]]:
+def on_grid(npcs: Chains, rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
     """Return a row of cells for each NPC, empty for NPCs that are not on the grid."""
     each = iter(rows)
     return [next(each) if chain[0].on_grid else () for chain in npcs]
@@ -398,17 +427,15 @@ def with_targets(
     npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]
 ) -> tuple[Chromosome, ...]:
     """Return the chains with their first genes aimed at new targets."""
-    return tuple(
+    found = []
+    for chain, row in zip_longest(npcs, targets, fillvalue=()):
         # Most targets are unchanged. Checking a new gene for each of them would take a tenth of a short run.
-        (
-            *(
-                gene if gene.target == target else gene.aimed(target)
-                for target, gene in zip(row, chain, strict=False)
-            ),
-            *chain[len(row) :],
-        )
-        for chain, row in zip_longest(npcs, targets, fillvalue=())
-    )
+        first = [
+            gene if gene.target == target else gene.aimed(target)
+            for target, gene in zip(row, chain, strict=False)
+        ]
+        found.append((*first, *chain[len(row) :]))
+    return tuple(found)
 
 
 def continues(before: Instruction, gene: Instruction) -> bool:
@@ -424,11 +451,14 @@ def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
     if chain[0].crosses:
         return chain
     count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))
-    olds = [min(int((gene + 0.5) * wanted / seconds), len(chain) - 1) for gene in range(count)]
-    return tuple(
-        chain[old].afterwards if old == before else chain[old]
-        for before, old in zip([-1, *olds], olds, strict=False)
-    )
+    genes: list[Instruction] = []
+    before = -1
+    for number in range(count):
+        old = min(int((number + 0.5) * wanted / seconds), len(chain) - 1)
+        gene = chain[old]
+        genes.append(gene.afterwards if old == before else gene)
+        before = old
+    return tuple(genes)
 
 
 def _check_adjacency(npcs: Sequence[Chromosome]) -> None:
@@ -437,9 +467,12 @@ def _check_adjacency(npcs: Sequence[Chromosome]) -> None:
         for gene, (before, cell) in enumerate(pairwise(cells), 1):
             if not is_adjacent(before, cell):
                 low, high = sorted(before.neighbours)
-                place, received = f"npcs[{npc}][{gene}]", f"cell {int(cell)}"
-                expected = f"cell {int(before)} again, or one of the adjacent cells {int(low)} and {int(high)}"
-                raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)
+                raise ScenarioError(
+                    field=f"npcs[{npc}][{gene}]",
+                    expected=f"cell {int(before)} again, or one of the adjacent cells {int(low)} and {int(high)}",
+                    received=f"cell {int(cell)}",
+                    fix=REPAIR,
+                )
 
 
 def _check_distinct(npcs: Sequence[Chromosome]) -> None:
@@ -450,9 +483,9 @@ def _check_distinct(npcs: Sequence[Chromosome]) -> None:
                 continue
             other = holders.setdefault(held.cell, npc)
             if other != npc:
-                place, expected = (
-                    f"npcs[{npc}][{gene}]",
-                    f"a cell that no other NPC occupies in gene {gene}",
+                raise ScenarioError(
+                    field=f"npcs[{npc}][{gene}]",
+                    expected=f"a cell that no other NPC occupies in gene {gene}",
+                    received=f"cell {int(held.cell)}, which npcs[{other}] occupies",
+                    fix=REPAIR,
                 )
-                received = f"cell {int(held.cell)}, which npcs[{other}] occupies"
-                raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pytest_pafot.model.instructions import set_fields
 from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.support.errors import FieldError, plain_number
@@ -39,24 +40,28 @@ class Sight:
         if not isinstance(self.noise, Mapping) or not self.noise.keys() <= NOISES.keys():
             expected = 'a mapping with the keys "position" [m], "speed" [m/s] or both'
             raise FieldError(field="noise", expected=expected, received=f"{self.noise!r:.100}")
-        noise = {
-            key: float(_number(f"noise.{key}", value, NOISES[key]))
-            for key, value in self.noise.items()
-        }
-        object.__setattr__(self, "noise", {key: value for key, value in noise.items() if value})
-        object.__setattr__(self, "latency", _number("latency", self.latency, "s"))
-        object.__setattr__(self, "dropout", _number("dropout", self.dropout, "", 1.0))
+        noise = {}
+        for key, value in self.noise.items():
+            deviation = float(_number(f"noise.{key}", value, NOISES[key]))
+            if deviation:
+                noise[key] = deviation
+        set_fields(
+            self,
+            noise=noise,
+            latency=_number("latency", self.latency, "s"),
+            dropout=_number("dropout", self.dropout, "", 1.0),
+        )
         if self.range is not None:
-            object.__setattr__(self, "range", _number("range", self.range, "m"))
+            set_fields(self, range=_number("range", self.range, "m"))
 
     @property
     def imperfections(self) -> dict[str, Any]:
-        values = {each.name: getattr(self, each.name) for each in fields(Sight)}
-        return {
-            name: value
-            for name, value in values.items()
-            if value or (name == "range" and value is not None)
-        }
+        found = {each.name: getattr(self, each.name) for each in fields(Sight)}
+        for name, value in [*found.items()]:
+            # a range of 0 is a limit, unlike 0 in the other fields
+            if value is None or (not value and name != "range"):
+                del found[name]
+        return found
 
     @property
     def is_drawn(self) -> bool:
@@ -65,28 +70,37 @@ class Sight:
 
     @property
     def described(self) -> str:
-        texts = {
-            "range": f"a range of {self.range or 0.0:g} m",
-            "latency": f"{self.latency:g} s of latency",
-            "noise": f"noise of {listed([f'{value:g} {NOISES[key]}' for key, value in self.noise.items()])}",
-            "dropout": f"{100 * self.dropout:g} % dropout",
-        }
-        return listed([texts[name] for name in self.imperfections] or ["perfect perception"])
+        told = []
+        if self.range is not None:
+            told.append(f"a range of {self.range:g} m")
+        if self.latency:
+            told.append(f"{self.latency:g} s of latency")
+        if self.noise:
+            noise = [f"{value:g} {NOISES[key]}" for key, value in self.noise.items()]
+            told.append(f"noise of {listed(noise)}")
+        if self.dropout:
+            told.append(f"{100 * self.dropout:g} % dropout")
+        return listed(told or ["perfect perception"])
 
     def delay(self, hz: float) -> int:
         # In ticks, rounded up.
         return math.ceil(self.latency * hz - 1e-9)
 
     def glimpses(
-        self, states: FloatArray, seed: int, tick: int
+        self,
+        states: FloatArray,
+        seed: int,
+        tick: int,
     ) -> list[tuple[int, float, float, float]]:
         # The index and the measurement errors of each vehicle that is seen.
         # `states` has the shape [vehicles, 7], with the ego first. The errors are those of x [m], y [m] and speed
         # [m/s]. Their random numbers depend only on the seed and the tick.
         others = len(states) - 1
-        errors, seen = np.zeros((others, 3)), np.ones(others, dtype=bool)
+        errors = np.zeros((others, 3))
+        seen = np.ones(others, dtype=bool)
         if self.range is not None:
-            seen = np.hypot(*(states[1:, :2] - states[0, :2]).T) <= self.range
+            x, y = (states[1:, :2] - states[0, :2]).T
+            seen = np.hypot(x, y) <= self.range
         if self.is_drawn:
             random = rng_of([seed, tick])
             seen &= random.random(others) >= self.dropout
@@ -98,8 +112,8 @@ class Sight:
 def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:
     number = plain_number(value)
     if number is None or not 0 <= number <= most:
-        expected = (
-            f"a finite value of at least 0 {unit}" if unit else f"a number from 0 to {most:g}"
-        )
+        expected = f"a number from 0 to {most:g}"
+        if unit:
+            expected = f"a finite value of at least 0 {unit}"
         raise FieldError(field=name, expected=expected, received=f"{value!r:.100}")
     return number

@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.instructions import Cell
+from pytest_pafot.model.instructions import Cell, cell_at
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 Side = Literal["front", "rear", "left", "right"]
 
@@ -95,9 +96,12 @@ class Collision:
     closing_speed: float
 
     def __repr__(self) -> str:
-        where = "" if self.cell is None else f" in cell {int(self.cell)}"
-        what = "a fixed object" if self.npc is None else f"NPC {self.npc}"
-        return f"<Collision after {self.time:.1f} s: {what}{where}, {self.side} of the ego>"
+        what = "a fixed object"
+        if self.npc is not None:
+            what = f"NPC {self.npc}"
+        if self.cell is not None:
+            what = f"{what} in cell {int(self.cell)}"
+        return f"<Collision after {self.time:.1f} s: {what}, {self.side} of the ego>"
 
 
 # The kind of error for which the ADS is not the cause: a method of the environment, or of a wrapper, did not return.
@@ -131,9 +135,9 @@ class AdsError:
     @property
     def text(self) -> str:
         """The error's kind and message."""
-        return (
-            self.message if self.message.startswith(self.kind) else f"{self.kind}: {self.message}"
-        )
+        if self.message.startswith(self.kind):
+            return self.message
+        return f"{self.kind}: {self.message}"
 
 
 class RoadOfRun:
@@ -164,26 +168,28 @@ class RoadOfRun:
     def direction(self) -> tuple[FloatArray, FloatArray]:
         # The cosine and sine of the heading of the ego's lane, each of shape [1, ticks + 1], or [1, 1] if all lanes
         # have the same heading.
-        headings = [lane.heading for lane in self._lanes]
-        if headings.count(headings[0]) == len(headings):
-            heading = np.array([headings[:1]])
+        heading = np.array([[lane.heading for lane in self._lanes]])
+        if self.heading is None:
+            lanes = self.column(LANE)[:1].astype(np.intp)
+            heading = heading[0, lanes]
         else:
-            heading = np.array(headings)[self.column(LANE)[:1].astype(np.intp)]
+            heading = heading[:, :1]
         return np.cos(heading), np.sin(heading)
 
     @property
     def track(self) -> FloatArray:
         cos, sin = self._cos_sin
-        along = self.x * cos + self.y * sin
-        return np.stack(
-            (along.T, self._across.T, self.angles, self._beside.T, np.ones(along.T.shape)), axis=-1
-        )
+        along = (self.x * cos + self.y * sin).T
+        across = self._across.T
+        return np.stack((along, across, self.angles, self._beside.T, np.ones(along.shape)), axis=-1)
 
     @property
     def heading(self) -> float | None:
         # None if the lanes have different headings.
-        heading = self._lanes[0].heading
-        return None if any(lane.heading != heading for lane in self._lanes) else heading
+        headings = {lane.heading for lane in self._lanes}
+        if len(headings) == 1:
+            return headings.pop()
+        return None
 
     @property
     def angles(self) -> FloatArray:
@@ -191,24 +197,65 @@ class RoadOfRun:
         return self._states[..., HEADING] - self._lanes[0].heading
 
     @cached_property
-    def is_on_way(self) -> npt.NDArray[np.bool_]:
+    def is_on_way(self) -> BoolArray:
         # An NPC that crosses is on the ego's path only after it has merged.
         return np.ones((self._states.shape[1] - 1, len(self._states)), dtype=np.bool_)
 
     @cached_property
     def offsets(self) -> tuple[FloatArray, FloatArray]:
         # The distances of each NPC ahead of the ego and to the right; NaN off the ego's path.
-        (cos, sin), x, y = self.direction, self.x[1:] - self.x[:1], self.y[1:] - self.y[:1]
+        cos, sin = self.direction
+        x = self.x[1:] - self.x[:1]
+        y = self.y[1:] - self.y[:1]
         return x * cos + y * sin, y * cos - x * sin
+
+    @property
+    def ahead(self) -> FloatArray:
+        """The distance [m] of each NPC's centre ahead of the ego's centre."""
+        # On a curved road, the difference of the two positions on the ego's path is multiplied by the mean of the
+        # metres that ego and NPC drive per metre of that path. In a circle this is the arc halfway between the arcs of
+        # the two vehicles.
+        return self.offsets[0]
+
+    @property
+    def right(self) -> FloatArray:
+        """The distance [m] of each NPC's centre to the right of the ego's centre."""
+        # On a curved road, each vehicle's distance to the ego's path is measured at the position of the vehicle.
+        return self.offsets[1]
 
     def offset(self, npc: int, tick: int) -> tuple[float, float]:
-        ego, other = self._states[tick, 0].tolist(), self._states[tick, npc + 1].tolist()
+        ego = self._states[tick, 0].tolist()
+        other = self._states[tick, npc + 1].tolist()
         heading = self._lanes[int(ego[LANE])].heading
-        x, y, cos, sin = other[X] - ego[X], other[Y] - ego[Y], math.cos(heading), math.sin(heading)
+        cos = math.cos(heading)
+        sin = math.sin(heading)
+        x = other[X] - ego[X]
+        y = other[Y] - ego[Y]
         return x * cos + y * sin, y * cos - x * sin
 
+    def cell(self, npc: int, tick: int, ego_length: float) -> Cell | None:
+        """Return an NPC's cell at a tick, or None if the NPC is in no cell."""
+        # Rows are as long as the ego, columns as wide as the ego's lane, or as the first lane if the ego is off the
+        # road.
+        ahead, right = self.offset(npc, tick)
+        lane = max(int(self._states[tick, 0, LANE]), 0)
+        return cell_at(ahead, right, ego_length, self._lanes[lane].width)
+
+    def last_cell(self, npc: int, tick: int, ego_length: float) -> Cell | None:
+        """Return the cell that an NPC last occupied up to a tick, or None."""
+        for each in range(tick, -1, -1):
+            # Only the time since the NPC entered the ego's path counts.
+            if not self.is_on_way[npc, each]:
+                break
+            cell = self.cell(npc, each, ego_length)
+            if cell is not None:
+                return cell
+        return None
+
     def turned(
-        self, cos: FloatArray, sin: FloatArray
+        self,
+        cos: FloatArray,
+        sin: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         # The cosine and sine of each vehicle's angle to the road, and the cosine and sine of the road's heading.
         road_cos, road_sin = self.direction
@@ -223,13 +270,12 @@ class RoadOfRun:
 
     def to_edge(self) -> FloatArray:
         # The distance of the ego's centre to the nearer edge, negative off the road.
-        cos, sin = math.cos(self._lanes[0].heading), math.sin(self._lanes[0].heading)
+        cos = math.cos(self._lanes[0].heading)
+        sin = math.sin(self._lanes[0].heading)
         across = self._states[:, 0, Y] * cos - self._states[:, 0, X] * sin
         edges = [(each.y * cos - each.x * sin, each.width / 2) for each in self._lanes]
-        left, right = (
-            min(centre - width for centre, width in edges),
-            max(centre + width for centre, width in edges),
-        )
+        left = min(centre - half for centre, half in edges)
+        right = max(centre + half for centre, half in edges)
         return np.minimum(across - left, right - across)
 
     def numbers(self, vehicle: int) -> FloatArray:
@@ -239,15 +285,18 @@ class RoadOfRun:
     def counted(self, tick: int, vehicle: int) -> float:
         # The number of the vehicle's lane, counted to the right from any lane; NaN if unknown.
         lane = float(self._states[tick, vehicle, LANE])
-        return lane if lane >= 0 else math.nan
+        if lane >= 0:
+            return lane
+        return math.nan
 
     def direction_of_places(self, tick: int) -> float:
         return self._lanes[0].heading
 
     def drawn(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         # To coordinates of the picture.
-        lane, (cos, sin) = self._lanes[0], self._cos_sin
-        dx, dy = x - lane.x, y - lane.y
+        cos, sin = self._cos_sin
+        dx = x - self._lanes[0].x
+        dy = y - self._lanes[0].y
         return dx * cos + dy * sin, dy * cos - dx * sin
 
     @property
@@ -256,7 +305,8 @@ class RoadOfRun:
 
     @property
     def _cos_sin(self) -> tuple[float, float]:
-        return float(np.cos(self._lanes[0].heading)), float(np.sin(self._lanes[0].heading))
+        heading = self._lanes[0].heading
+        return float(np.cos(heading)), float(np.sin(heading))
 
     @cached_property
     def _across(self) -> FloatArray:
@@ -265,9 +315,11 @@ class RoadOfRun:
 
     @property
     def _beside(self) -> FloatArray:
-        (cos, sin), lanes = self._cos_sin, self.column(LANE).astype(np.intp)
+        cos, sin = self._cos_sin
+        lanes = self.column(LANE).astype(np.intp)
         centres = np.array([lane.y * cos - lane.x * sin for lane in self._lanes])
-        offset, off = self._across - centres[lanes], lanes < 0
+        offset = self._across - centres[lanes]
+        off = lanes < 0
         # off the road, positions are measured as if there were one more lane on either side
         if off.any():
             width = self._lanes[0].width
@@ -299,7 +351,7 @@ class BentRoadOfRun(RoadOfRun):
         return self._track[..., ANGLE]
 
     @cached_property
-    def is_on_way(self) -> npt.NDArray[np.bool_]:
+    def is_on_way(self) -> BoolArray:
         # A user's world can also record NaN for a vehicle. The distances to it must stay NaN, so it counts as on the
         # ego's path.
         return ~np.isnan(self._track[:, 1:, ALONG].T) | np.isnan(self.x[1:])
@@ -307,18 +359,20 @@ class BentRoadOfRun(RoadOfRun):
     @cached_property
     def offsets(self) -> tuple[FloatArray, FloatArray]:
         columns = self._track.transpose(2, 1, 0)
-        ego, npc = columns[:, :1], columns[:, 1:]
-        return driven_between(ego, npc), npc[ACROSS] - ego[ACROSS]
+        return _offsets(columns[:, :1], columns[:, 1:])
 
     def offset(self, npc: int, tick: int) -> tuple[float, float]:
-        ego, other = self._track[tick, 0].tolist(), self._track[tick, npc + 1].tolist()
-        return driven_between(ego, other), other[ACROSS] - ego[ACROSS]
+        ego = self._track[tick, 0].tolist()
+        return _offsets(ego, self._track[tick, npc + 1].tolist())
 
     def turned(
-        self, cos: FloatArray, sin: FloatArray
+        self,
+        cos: FloatArray,
+        sin: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         angle = self._track[:, :, ANGLE].T
-        own_cos, own_sin = np.cos(angle), np.sin(angle)
+        own_cos = np.cos(angle)
+        own_sin = np.sin(angle)
         return own_cos, own_sin, cos * own_cos + sin * own_sin, sin * own_cos - cos * own_sin
 
     def displacement(self, vehicle: int, first: int, last: int) -> float:
@@ -328,8 +382,11 @@ class BentRoadOfRun(RoadOfRun):
     def to_edge(self) -> FloatArray:
         # The track has no edges, so half the width of the ego's lane is used.
         lane = self._states[:, 0, LANE].astype(np.intp)
-        half = np.array([each.width for each in self._lanes])[np.maximum(lane, 0)] / 2
-        return np.where(lane < 0, np.minimum(half - np.abs(self._track[:, 0, OFFSET]), -1e-6), half)
+        widths = np.array([each.width for each in self._lanes])
+        half = widths[np.maximum(lane, 0)] / 2
+        # off the road, the result must be negative even if the lane next to the ego is wider
+        outside = np.minimum(half - np.abs(self._track[:, 0, OFFSET]), -1e-6)
+        return np.where(lane < 0, outside, half)
 
     def numbers(self, vehicle: int) -> FloatArray:
         # Lanes begin and end along the path, so they have no numbers.
@@ -350,16 +407,17 @@ class BentRoadOfRun(RoadOfRun):
         return np.unwrap(self._states[:, :, HEADING], axis=0)
 
 
-def driven_between(ego: Any, npc: Any) -> Any:
-    """Return the driving distance [m] from the ego to an NPC."""
-    # This is the difference of the two positions on the ego's path, times the mean of the metres that the two vehicles
-    # drive per metre of the path. In a circle, it is the length of the arc halfway between them.
-    return (npc[ALONG] - ego[ALONG]) * (ego[STRETCH] + npc[STRETCH]) / 2
+def _offsets(ego: Any, npc: Any) -> tuple[Any, Any]:
+    # The distance of an NPC ahead of the ego and to the right, from the columns of their tracks.
+    ahead = (npc[ALONG] - ego[ALONG]) * (ego[STRETCH] + npc[STRETCH]) / 2
+    return ahead, npc[ACROSS] - ego[ACROSS]
 
 
 def road_of_run(states: FloatArray, lanes: Sequence[Lane], track: FloatArray | None) -> RoadOfRun:
     """Return the road of a run. A road without a track is straight."""
-    return RoadOfRun(states, lanes) if track is None else BentRoadOfRun(states, lanes, track)
+    if track is None:
+        return RoadOfRun(states, lanes)
+    return BentRoadOfRun(states, lanes, track)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -425,15 +483,18 @@ class Trace:
     @property
     def users_error_text(self) -> str:
         # The user's code that made the run invalid, or an empty string.
-        return self.ended if self.outcome is Outcome.INVALID else ""
+        if self.outcome is Outcome.INVALID:
+            return self.ended
+        return ""
 
     def __post_init__(self) -> None:
         # Arrays become read-only and float64. An array that its owner could still change is copied.
         for name in ("states", "sizes", "track", "on_way"):
-            if getattr(self, name) is None:
+            given = getattr(self, name)
+            if given is None:
                 continue
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array is getattr(self, name) and array.flags.writeable:
+            array = np.ascontiguousarray(given, dtype=np.float64)
+            if array is given and array.flags.writeable:
                 array = array.copy()
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -482,9 +543,12 @@ class Trace:
     @property
     def decision_ticks(self) -> Sequence[int]:
         """The ticks at which decisions were made, including the tick of a decision that failed."""
-        return self.decided or range(
-            0, self.ticks + (self.error is not None), round(self.physics_hz / self.ads_hz)
-        )
+        if self.decided:
+            return self.decided
+        end = self.ticks
+        if self.error is not None:
+            end += 1
+        return range(0, end, round(self.physics_hz / self.ads_hz))
 
     @property
     def ego(self) -> FloatArray:
@@ -512,20 +576,22 @@ class Trace:
             )
         return self.on_way[:, npc]
 
-    @property
-    def angles(self) -> FloatArray:
-        """The headings [rad] relative to the road, by tick and vehicle."""
-        return self.road.angles
+    def zone_of(self, npc: int) -> Zone | None:
+        # Empty `zones` mean that no NPC crosses.
+        if self.zones:
+            return self.zones[npc]
+        return None
 
     def rows_until(self, tick: int) -> dict[str, Any]:
         # The arrays with one row per tick up to this one, by the names of their fields.
-        arrays = {name: getattr(self, name) for name in ("states", "track", "on_way")}
-        return {
-            name: None if array is None else array[: tick + 1] for name, array in arrays.items()
-        }
+        rows = {name: getattr(self, name) for name in ("states", "track", "on_way")}
+        given = {name: array[: tick + 1] for name, array in rows.items() if array is not None}
+        return rows | given
 
     def vehicle_type(self, vehicle: int) -> VehicleType:
-        return self.scenario.vehicle_of(vehicle - 1) if vehicle else self.ego_vehicle
+        if vehicle:
+            return self.scenario.vehicle_of(vehicle - 1)
+        return self.ego_vehicle
 
     @property
     def chains(self) -> tuple[Chromosome, ...]:
@@ -542,14 +608,12 @@ class Trace:
 
 # The names and units of the columns of :attr:`Trace.states`.
 QUANTITIES = (
-    *(
-        ("x", "m"),
-        ("y", "m"),
-        ("heading", "rad"),
-        ("speed", "m/s"),
-        ("acceleration", "m/s^2"),
-        ("steering", "rad"),
-    ),
+    ("x", "m"),
+    ("y", "m"),
+    ("heading", "rad"),
+    ("speed", "m/s"),
+    ("acceleration", "m/s^2"),
+    ("steering", "rad"),
     ("lane", ""),
 )
 # The cause of a difference between two runs with the same actions.
@@ -558,7 +622,9 @@ SURVIVES = "the cause is probably state that survives `start` or `reset`, or a r
 
 def vehicle_name(vehicle: int) -> str:
     """Return the name of a vehicle for messages. Number 0 is the ego."""
-    return f"NPC {vehicle - 1}" if vehicle else "the ego"
+    if vehicle:
+        return f"NPC {vehicle - 1}"
+    return "the ego"
 
 
 def first_difference(first: Trace, again: Trace, within: float | None = None) -> str:
@@ -566,27 +632,28 @@ def first_difference(first: Trace, again: Trace, within: float | None = None) ->
     # `within` is the largest difference of x and y that is ignored [m]. None requires equality to the last bit, and the
     # result then also states the likely cause.
     ticks = min(len(first.states), len(again.states))
-    one, other = (
-        each.states[:ticks] if within is None else each.states[:ticks, :, : Y + 1]
-        for each in (first, again)
-    )
+    columns = slice(None) if within is None else slice(Y + 1)
+    one = first.states[:ticks, :, columns]
+    other = again.states[:ticks, :, columns]
     with np.errstate(invalid="ignore"):  # inf - inf
-        apart = np.where(
-            (one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other)
-        )
+        is_same = (one == other) | (np.isnan(one) & np.isnan(other))
+        apart = np.where(is_same, 0.0, np.abs(one - other))
     differs = ~(apart <= (within or 0.0))
     if not differs.any():
+        if within is not None or (first.outcome, first.ticks) == (again.outcome, again.ticks):
+            return ""
         ends = [f"{each.outcome} after {each.duration:.4g} s" for each in (first, again)]
-        is_same = (first.outcome, first.ticks) == (again.outcome, again.ticks)
-        return "" if within is not None or is_same else f"{ends[0]}, then {ends[1]}"
+        return ", then ".join(ends)
     tick, vehicle, column = np.argwhere(differs)[0].tolist()
     name, unit = QUANTITIES[column]
-    what = f"{name} of {vehicle_name(vehicle)} differs by {apart[tick, vehicle, column]:.2g} {unit}".rstrip()
-    what = f"{what} after {first.times[tick]:.3g} s"
+    size = f"{apart[tick, vehicle, column]:.2g} {unit}".rstrip()
+    what = f"{name} of {vehicle_name(vehicle)} differs by {size} after {first.times[tick]:.3g} s"
     if within is not None or not first.actions:
         return what
     made = sum(each < tick for each in first.decision_ticks)
     # actions of any type, to the last bit
     with np.printoptions(floatmode="unique", threshold=sys.maxsize):
-        one_made, other_made = (repr(each.actions[:made]) for each in (first, again))
-    return f"{what}; {SURVIVES if one_made == other_made else 'the policy had decided differently'}"
+        has_same_actions = repr(first.actions[:made]) == repr(again.actions[:made])
+    if has_same_actions:
+        return f"{what}; {SURVIVES}"
+    return f"{what}; the policy had decided differently"

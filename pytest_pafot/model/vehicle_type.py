@@ -125,31 +125,26 @@ class VehicleType(Pasteable):
     top_speed: float = math.inf
 
     def __post_init__(self) -> None:
-        is_text = (
-            isinstance(self.name, str)
-            and self.name.isprintable()
-            and self.name == self.name.strip()
-        )
-        if not is_text or not 1 <= len(self.name) <= LONGEST_NAME:
+        name = self.name
+        is_text = isinstance(name, str) and name.isprintable() and name == name.strip()
+        if not is_text or not 1 <= len(name) <= LONGEST_NAME:
             expected = (
                 f"a name of 1 to {LONGEST_NAME} printable characters, without spaces at either end"
             )
-            raise FieldError(field="name", expected=expected, received=f"{self.name!r:.100}")
-        object.__setattr__(self, "name", str(self.name))
-        for name, (low, high) in BOUNDS.items():
-            given = getattr(self, name)
-            number = (
-                math.inf
-                if high == math.inf and isinstance(given, float) and given == high
-                else plain_number(given)
-            )
+            raise FieldError(field="name", expected=expected, received=f"{name!r:.100}")
+        object.__setattr__(self, "name", str(name))
+        for limit, (low, high) in BOUNDS.items():
+            given = getattr(self, limit)
+            number = plain_number(given)
+            # infinity means no limit
+            if isinstance(given, float) and given == high == math.inf:
+                number = math.inf
             if number is None or not low <= number <= high:
-                most = "" if high == math.inf else f" to {high:g}"
-                expected = (
-                    f"a number from {low:g}{most}" if most else f"a number of at least {low:g}"
-                )
-                raise FieldError(field=name, expected=expected, received=f"{given!r:.100}")
-            object.__setattr__(self, name, number + 0.0)
+                expected = f"a number from {low:g} to {high:g}"
+                if high == math.inf:
+                    expected = f"a number of at least {low:g}"
+                raise FieldError(field=limit, expected=expected, received=f"{given!r:.100}")
+            object.__setattr__(self, limit, number + 0.0)
         if self.length < self.width:
             expected = f"a length of at least the width, {self.width:g} m"
             raise FieldError(field="length", expected=expected, received=f"{self.length:g} m")
@@ -163,8 +158,9 @@ class VehicleType(Pasteable):
         return _unpickled, (self.plain(),)
 
     def __repr__(self) -> str:
-        # super() does not work in a dataclass with slots.
-        return repr(self.name) if self.name in READY else Pasteable.__repr__(self)
+        if self.name in READY:
+            return repr(self.name)
+        return Pasteable.__repr__(self)  # super() does not work in a dataclass with slots
 
     def plain(self) -> str | dict[str, Any]:
         # A built-in vehicle is stored as its name.
@@ -179,17 +175,14 @@ class VehicleType(Pasteable):
 
     @property
     def has_limits(self) -> bool:
-        return (
-            min(self.acceleration, self.braking, self.lateral_acceleration, self.top_speed)
-            < math.inf
-        )
+        limits = self.acceleration, self.braking, self.lateral_acceleration, self.top_speed
+        return min(limits) < math.inf
 
     def limited(self, acceleration: float, steering: float, speed: float) -> tuple[float, float]:
         # The acceleration [m/s^2] and steering [rad] of an ego with these limits.
         # Near the top speed, the ego accelerates less, as highway-env's own vehicles do.
-        acceleration = max(
-            min(acceleration, self.acceleration, self.top_speed - speed), -self.braking
-        )
+        acceleration = min(acceleration, self.acceleration, self.top_speed - speed)
+        acceleration = max(acceleration, -self.braking)
         slip = self.lateral_acceleration * self.length / 2 / max(speed * speed, 1e-9)
         if slip < 1.0:
             most = math.atan(2 * math.tan(math.asin(slip)))
@@ -212,9 +205,8 @@ class VehicleType(Pasteable):
             return given
         if isinstance(given, str) and given in READY:
             return READY[given]
-        if isinstance(given, Mapping) and {"name", "length", "width"} <= set(given) <= {
-            each.name for each in fields(cls)
-        }:
+        names = {each.name for each in fields(cls)}
+        if isinstance(given, Mapping) and {"name", "length", "width"} <= set(given) <= names:
             return cls(**given)
         expected = f"{', '.join(READY)} or pafot.VehicleType(name=..., length=..., width=...)"
         raise FieldError(field="vehicle", expected=expected, received=f"{given!r:.100}")
@@ -273,10 +265,13 @@ def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...
 
 def named_vehicles(given: Any) -> tuple[VehicleType, ...]:
     """Return the vehicle types for one or several vehicles or names, without duplicates."""
-    several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
-    found = tuple(dict.fromkeys(VehicleType.parse(each) for each in several))
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        given = [given]
+    found = tuple(dict.fromkeys(map(VehicleType.parse, given)))
     if not found:
         raise FieldError(
-            field="vehicles", expected=f"one or more of {', '.join(READY)}", received=repr(given)
+            field="vehicles",
+            expected=f"one or more of {', '.join(READY)}",
+            received=repr(given),
         )
     return found

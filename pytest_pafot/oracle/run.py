@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise, takewhile
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
@@ -17,8 +17,13 @@ import numpy.typing as npt
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution import takeovers
-from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
-from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
+from pytest_pafot.attribution.responsibility import (
+    Attribution,
+    Responsibility,
+    attribute_collision,
+    decide_contested,
+    position_rule,
+)
 from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
@@ -31,7 +36,7 @@ from pytest_pafot.criticality.signals import (
     leader,
 )
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.instructions import Cell, CrossingInstruction
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
 from pytest_pafot.model.trace import (
     ACCELERATION,
@@ -42,6 +47,7 @@ from pytest_pafot.model.trace import (
     FloatArray,
     Outcome,
     Trace,
+    vehicle_name,
 )
 from pytest_pafot.model.vehicle_type import CAR, STYLES
 from pytest_pafot.support import import_late
@@ -97,15 +103,24 @@ class Check:
 
     def __str__(self) -> str:
         """Return the check in words, such as ``jerk = 35.1 > 20 m/s^3 at 4.2 s``."""
-        bound, sign = self.at_most, "<=" if self.holds else ">"
+        bound = self.at_most
+        signs = ("<=", ">")
         if self.at_least is not None and (bound is None or self.value < self.at_least):
-            bound, sign = self.at_least, ">=" if self.holds else "<"
-        is_told = bound is not None
-        sign = "is not within" if is_told and math.isnan(self.value) else sign
-        held = f" {sign} {bound:g}" if is_told else ""
-        when = "" if self.time is None else f" at {self.time:.1f} s"
-        who = "" if self.npc is None else f" (NPC {self.npc})"
-        return f"{self.name} = {_short(self.value, bound)}{held}{f' {self.unit}' if self.unit else ''}{when}{who}"
+            bound = self.at_least
+            signs = (">=", "<")
+        text = f"{self.name} = {_short(self.value, bound)}"
+        if bound is not None:
+            sign = signs[0] if self.holds else signs[1]
+            if math.isnan(self.value):
+                sign = "is not within"
+            text = f"{text} {sign} {bound:g}"
+        if self.unit:
+            text = f"{text} {self.unit}"
+        if self.time is not None:
+            text = f"{text} at {self.time:.1f} s"
+        if self.npc is not None:
+            text = f"{text} (NPC {self.npc})"
+        return text
 
 
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
@@ -182,41 +197,42 @@ def check(
         raise ValueError(f"{what}: expected at_most=, at_least= or both, received neither")
     values = _values(value, name)
     # All bounds become margins in the same direction. The smallest margin counts.
-    signed = [
-        (bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None
-    ]
-    bounds = [
-        (checked_number(bound, what, "a finite number as the bound"), sign)
-        for bound, sign in signed
-    ]
+    bounds = {}
+    for given, sign in ((at_most, -1.0), (at_least, 1.0)):
+        if given is not None:
+            bounds[sign] = checked_number(given, what, "a finite number as the bound")
+    margins = np.full(values.shape, np.inf)
     with np.errstate(invalid="ignore"):
-        margins = np.min(
-            [sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0
-        )
+        for sign, bound in bounds.items():
+            margin = sign * (values - bound) / _scale(name, bound, scale)
+            margins = np.minimum(margins, margin)
     # NaN must never pass: it is worse than any number.
     margins = np.where(np.isnan(margins), -np.inf, margins)
-    tick, recording = int(margins.argmin()), _RECORDING.get()
+    tick = int(margins.argmin())
+    recording = _RECORDING.get()
+    time = None
+    all_values = None
     # Only an array with one value per tick of the evaluated run has times.
-    hz = (
-        None
-        if recording is None or values.size == 1 or values.size != recording.ticks + 1
-        else recording.hz
-    )
-    time = None if hz is None else tick / hz
+    if recording is not None and values.size == recording.ticks + 1 != 1:
+        time = tick / recording.hz
+        all_values = values
     if at is not None:
         time = checked_number(
-            at, what, "at= to be at least 0 seconds after the start of the run", least=0.0
+            at,
+            what,
+            "at= to be at least 0 seconds after the start of the run",
+            least=0.0,
         )
     made = Check(
         name=_named(name),
         value=float(values[tick]),
         margin=float(margins[tick]),
-        at_most=None if at_most is None else float(at_most),
-        at_least=None if at_least is None else float(at_least),
+        at_most=bounds.get(-1.0),
+        at_least=bounds.get(1.0),
         unit=_unit(name, unit),
         time=time,
         npc=_npc(name, npc),
-        values=None if hz is None else values,
+        values=all_values,
     )
     # A check that passes is also recorded, because the user's own algorithm may learn from its margin.
     if recording is not None:
@@ -233,9 +249,10 @@ def _values(value: Any, name: str) -> FloatArray:
             f"check {name!r}: expected a number or an array of numbers, received {value!r:.80}"
         ) from error
     if values.ndim != 1 or not values.size:
+        hint = ". Check each NPC separately" if values.ndim > 1 else ""
         raise ValueError(
             f"check {name!r}: expected a number, or an array with one value per tick, received an array of shape "
-            f"{values.shape}{'. Check each NPC separately' if values.ndim > 1 else ''}"
+            f"{values.shape}{hint}"
         )
     return values
 
@@ -253,27 +270,30 @@ def require(holds: bool, assertion: str, explain: Callable[[], str]) -> None:
 
 
 def _named(name: str) -> str:
-    if (
-        not isinstance(name, str)
-        or not name.strip()
-        or len(name) > LONGEST_NAME
-        or not name.isprintable()
-    ):
+    if not _is_short(name) or not name.strip():
         raise ValueError(
             f"name: expected 1 to {LONGEST_NAME} printable characters, received {name!r:.100}"
         )
     return name.strip()
 
 
+def _is_short(text: object) -> bool:
+    return isinstance(text, str) and len(text) <= LONGEST_NAME and text.isprintable()
+
+
 def _scale(name: str, bound: float, scale: float | None) -> float:
-    divisor = abs(bound) or 1.0 if scale is None else scale
+    if scale is None:
+        return abs(bound) or 1.0
     return checked_number(
-        divisor, f"check {name!r}", "scale= to be a positive number", least=POSITIVE
+        scale,
+        f"check {name!r}",
+        "scale= to be a positive number",
+        least=POSITIVE,
     )
 
 
-def _unit(name: str, unit: object) -> str:
-    if not isinstance(unit, str) or len(unit) > LONGEST_NAME or not unit.isprintable():
+def _unit(name: str, unit: str) -> str:
+    if not _is_short(unit):
         raise ValueError(
             f"check {name!r}: expected a short printable unit=, such as 'm/s^3', received {unit!r:.100}"
         )
@@ -282,32 +302,36 @@ def _unit(name: str, unit: object) -> str:
 
 def _npc(name: str, npc: Any) -> int | None:
     recording = _RECORDING.get()
-    most = None if recording is None else recording.npcs
-    is_index = isinstance(npc, (int, np.integer)) and not isinstance(npc, bool) and npc >= -1
-    if npc is not None and not (is_index and (most is None or npc < most)):
-        there = "" if most is None else f" (at most {most - 1})"
+    if npc is None:
+        return None
+    most = math.inf
+    there = ""
+    if recording is not None and recording.npcs is not None:
+        most = recording.npcs
+        there = f" (at most {most - 1})"
+    is_index = isinstance(npc, (int, np.integer)) and not isinstance(npc, bool)
+    if not is_index or not -1 <= npc < most:
         raise ValueError(
             f"check {name!r}: expected npc= to be the index of an NPC{there}, received {npc!r:.100}"
         )
-    return None if npc is None or npc < 0 else int(npc)
+    if npc < 0:
+        return None
+    return int(npc)
 
 
 def _short(value: float, bound: float | None) -> str:
     # As few digits as possible, but enough to show on which side of its bound the value is.
-    texts = [f"{value:.1f}"] if 1 <= abs(value) < 1e4 else []
-    texts += [f"{value:.{digits}g}" for digits in range(3, 17)]
+    texts = [f"{value:.{digits}g}" for digits in range(3, 17)]
+    if 1 <= abs(value) < 1e4:
+        texts.insert(0, f"{value:.1f}")
     if bound is None or math.isnan(value):
         return texts[0]
     if value == bound:
         return f"{value:g}"
-    return next(
-        (
-            text
-            for text in texts
-            if float(text) != bound and (float(text) > bound) == (value > bound)
-        ),
-        texts[-1],
-    )
+    for text in texts:
+        if float(text) != bound and (float(text) > bound) == (value > bound):
+            return text
+    return texts[-1]
 
 
 # pytest indents an explanation, so its sentences are wrapped at this width.
@@ -366,8 +390,9 @@ class Run:
                 # raises the AttributeError from inside a property again
                 return object.__getattribute__(self, name)
             known = [each for each in dir(self) if not each.startswith("_")]
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"Did you mean `run.{near[0]}`?" if near else f"It has {', '.join(known)}"
+            hint = f"It has {', '.join(known)}"
+            for near in difflib.get_close_matches(name, known, n=1, cutoff=0.5):
+                hint = f"Did you mean `run.{near}`?"
             raise AttributeError(f"a run has no attribute {name!r}. {hint}")
 
     # How it ended.
@@ -473,7 +498,9 @@ class Run:
         return tuple(filter(None, passages(self.trace)))
 
     def signal(
-        self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None
+        self,
+        function: Callable[[Trace], npt.ArrayLike],
+        npc: int | None = None,
     ) -> FloatArray:
         """Return the signal that a function computes from the trace, or its row for one NPC."""
         return self._signals.values_of(function, npc)
@@ -486,10 +513,9 @@ class Run:
             raise ModuleNotFoundError(
                 f"run.to_pandas() requires the package pandas, which is not installed. Run `{install('compare')}`"
             ) from error
-        return pd.DataFrame(  # type: ignore[no-any-return]
-            {**dict(self._signals.all()), "leader": self.leader},
-            index=pd.Index(self.trace.times, name="time"),
-        )
+        columns = dict(self._signals.all()) | {"leader": self.leader}
+        times = pd.Index(self.trace.times, name="time")
+        return pd.DataFrame(columns, index=times)  # type: ignore[no-any-return]
 
     # Who caused the collision.
 
@@ -508,19 +534,25 @@ class Run:
 
         None if the world cannot simulate that driver.
         """
-        return None if self.take_over is None else takeovers.latest(self.trace, self.take_over)
+        if self.take_over is None:
+            return None
+        return takeovers.latest(self.trace, self.take_over)
 
     @property
     def responsibility(self) -> Responsibility | None:
         """The side responsible for the collision: ``"ego"``, ``"npc"``, ``"both"`` or None."""
         verdict = self.attribution.responsibility
-        return None if verdict == "none" else verdict
+        if verdict == "none":
+            return None
+        return verdict
 
     @property
     def second_opinion(self) -> Responsibility | None:
         """The side that the paper authors' simpler rule blames: ``"ego"``, ``"npc"`` or None."""
         verdict = position_rule(self.trace)
-        return None if verdict == "none" else verdict
+        if verdict == "none":
+            return None
+        return verdict
 
     # The most important moment of the run.
 
@@ -537,7 +569,10 @@ class Run:
     @property
     def closest_time(self) -> float:
         """The time [s] at which the distance between the boxes is smallest."""
-        return self.duration if self.closest_approach is None else self.closest_approach.time
+        closest = self.closest_approach
+        if closest is None:
+            return self.duration
+        return closest.time
 
     @cached_property
     def event_time(self) -> float:
@@ -547,38 +582,58 @@ class Run:
         """
         if self.collision is not None:
             return self.collision.time
-        tick = self.trace.off_road_tick if self.ads_error is None else self.ads_error.tick
+        tick = self.trace.off_road_tick
+        if self.ads_error is not None:
+            tick = self.ads_error.tick
         if tick is not None:
             return tick / self.trace.physics_hz
-        return self.closest_time if self.worst_ttc is None else self.worst_ttc.time
+        if self.worst_ttc is not None:
+            return self.worst_ttc.time
+        return self.closest_time
 
     @property
     def event_npc(self) -> int | None:
         """The NPC that collided, or else the one with the smallest time to contact, or None."""
         event = self.collision or self.worst_ttc
-        return None if event is None else event.npc
+        if event is None:
+            return None
+        return event.npc
 
     @property
     def event_cell(self) -> Cell | None:
         """The cell of ``event_npc`` at the event, if it was on the ego's path."""
         event = self.collision or self.worst_ttc
-        return None if event is None else event.cell
+        if event is None:
+            return None
+        return event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
         """Return the conflict zone of an event's NPC, or None once the NPC has merged."""
-        zone, on_way = None if event.npc is None else self.npcs[event.npc].zone, self.trace.on_way
-        if event.npc is None or zone is None or on_way is None:
+        on_way = self.trace.on_way
+        if event.npc is None or on_way is None:
             return None
+        zone = self.trace.zone_of(event.npc)
+        if zone is None or event.cell is None:
+            return zone
         # After an NPC has merged and left the zone, it is on the ego's path like any other.
-        return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
+        if on_way[event.tick, event.npc] <= zone.npc[1]:
+            return zone
+        return None
 
     def place_of(self, event: Collision | Moment) -> str:
         """Return the position of an event's NPC, such as ``in cell 2 (front)``, or an empty string."""
-        zone, on_way = self.zone_of(event), self.trace.on_way
-        if event.npc is None or zone is None or on_way is None:
-            return "" if event.cell is None else f"in cell {int(event.cell)} ({event.cell.label})"
-        along, (enters, leaves) = on_way[event.tick, event.npc], zone.npc
-        where = "before" if along < enters else "past" if along > leaves else "in"
+        zone = self.zone_of(event)
+        if zone is None or event.npc is None:
+            if event.cell is None:
+                return ""
+            return f"in cell {int(event.cell)} ({event.cell.label})"
+        along = self.trace.way_of(event.npc)[event.tick]
+        enters, leaves = zone.npc
+        where = "in"
+        if along < enters:
+            where = "before"
+        elif along > leaves:
+            where = "past"
         return f"{zone.whence} {where} the zone {zone.way}"
 
     @property
@@ -597,19 +652,14 @@ class Run:
         if hit is None:
             return ""
         zone = self.zone_of(hit)
-        whence, way = "" if zone is None else zone.whence, "along"
+        whence = "" if zone is None else zone.whence
+        way = "along"
         if hit.npc is not None:
-            turned = (
-                self.trace.states[hit.tick, hit.npc + 1, HEADING]
-                - self.trace.ego[hit.tick, HEADING]
-            )
-            way = (
-                "backwards"
-                if hit.ego_speed < -BACKWARDS
-                else "along"
-                if np.cos(turned) >= 0
-                else "towards"
-            )
+            headings = self.trace.states[hit.tick, :, HEADING]
+            if hit.ego_speed < -BACKWARDS:
+                way = "backwards"
+            elif not np.cos(headings[hit.npc + 1] - headings[0]) >= 0:
+                way = "towards"
         return capitalised(
             impact(hit.time, hit.npc, hit.side, hit.cell, whence, hit.closing_speed, way)
         )
@@ -620,41 +670,40 @@ class Run:
         Without ``instructions``, each sentence is one line.
         """
         # What happened: the headline, the sentences of the verdict, and a few measures.
-        is_whole, lines = not instructions or self.collision is None, [self._headline()]
+        lines = [self._headline()]
         lines += [f"  {each}" for each in self.sentences]
-        lines = (
-            lines
-            if is_whole
-            else [part for each in lines for part in wrapped_to(each, SENTENCE_WIDTH)]
-        )
+        if instructions and self.collision is not None:
+            lines = [part for each in lines for part in wrapped_to(each, SENTENCE_WIDTH)]
         lines += self._measures()
-        # What was requested: vehicles other than cars, the instructions, and how to identify the scenario.
         if instructions:
-            names = [f"scenario {self.scenario.id}", f"scenario seed {self.scenario.seed}"]
-            names += (
-                [f"position rule: {self.second_opinion}"]
-                if self.second_opinion != self.responsibility
-                else []
-            )
-            names += filter(None, [STYLES[self.scenario.traffic].described])
-            others = [
-                f"{f'NPC {number - 1}' if number else 'the ego'} is a {vehicle.described}"
-                for number, vehicle in enumerate((self.trace.ego_vehicle, *self.scenario.vehicles))
-                if vehicle != CAR
-            ]
-            lines += [f"  {'; '.join(others)}"] if others else []
-            crossing = _crossing_lines(self.trace)
-            lines += [
-                *crossing,
-                *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)),
-                f"  {', '.join(names)}",
-            ]
+            lines += self._requested()
         # Strings of users and exceptions must neither break lines nor make them too long.
-        texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
-        most = math.inf if self.collision is not None and not instructions else LINE_LENGTH
-        return "\n".join(
-            text if len(text) <= most else text[: LINE_LENGTH - 3] + "..." for text in texts
-        )
+        lines = [ascii_text(" ".join(line.splitlines())) for line in lines]
+        if instructions or self.collision is None:
+            lines = [
+                line if len(line) <= LINE_LENGTH else f"{line[: LINE_LENGTH - 3]}..."
+                for line in lines
+            ]
+        return "\n".join(lines)
+
+    def _requested(self) -> list[str]:
+        # What was requested: vehicles other than cars, the instructions, and how to identify the scenario.
+        lines = []
+        others = []
+        for number, vehicle in enumerate((self.trace.ego_vehicle, *self.scenario.vehicles)):
+            if vehicle != CAR:
+                others.append(f"{vehicle_name(number)} is a {vehicle.described}")
+        if others:
+            lines.append(f"  {'; '.join(others)}")
+        crossing = _crossing_lines(self.trace)
+        lines += crossing
+        lines += _gene_table(self.trace, MAX_GENE_ROWS - len(crossing))
+        names = [f"scenario {self.scenario.id}", f"scenario seed {self.scenario.seed}"]
+        if self.second_opinion != self.responsibility:
+            names.append(f"position rule: {self.second_opinion}")
+        if STYLES[self.scenario.traffic].described:
+            names.append(STYLES[self.scenario.traffic].described)
+        return [*lines, f"  {', '.join(names)}"]
 
     def __repr__(self) -> str:
         return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
@@ -669,66 +718,59 @@ class Run:
             return None
         # of equal values, the first tick and NPC
         tick, npc = divmod(int(values.argmin()), values.shape[1])
-        cell = criticality.Encounters(self.trace).last_cell(npc, tick)
+        length = float(self.trace.sizes[0, 0])
+        cell = self.trace.road.last_cell(npc, tick, length)
         return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
 
     def _headline(self) -> str:
         hit = self.collision
+        if hit is not None and hit.npc is None:
+            return self.impact
         if hit is not None:
-            other = (
-                ""
-                if hit.npc is None
-                else f" (ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s)"
-            )
-            return f"{self.impact}{other}"
-        if self.ads_error is not None:
-            who = "ADS" if self.ads_error.is_of_ads else "environment"
-            what = f"{who} hangs" if self.outcome is Outcome.HANG else "ADS error"
-            return f"{what} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
+            return f"{self.impact} (ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s)"
+        error = self.ads_error
+        if error is not None:
+            what = "ADS error"
+            if self.outcome is Outcome.HANG:
+                what = "ADS hangs" if error.is_of_ads else "environment hangs"
+            return f"{what} after {self.event_time:.1f} s: {error.kind}: {error.message}"
         if self.outcome is Outcome.INVALID:
-            more = ", or one touched a fixed object" if self.trace.obstacles else ""
-            why = self.trace.users_error_text or f"two NPCs touched{more}"
+            why = "two NPCs touched"
+            if self.trace.obstacles:
+                why = "two NPCs touched, or one touched a fixed object"
+            why = self.trace.users_error_text or why
             return f"invalid after {self.duration:.1f} s: {why}"
-        over = f", after which {self.trace.ended} ended the run" if self.trace.ended else ""
+        over = ""
+        if self.trace.ended:
+            over = f", after which {self.trace.ended} ended the run"
         if self.off_road:
             return f"the ego left the road after {self.event_time:.1f} s; no collision in {self.duration:.1f} s{over}"
         return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, over)}"
 
     def _measures(self) -> list[str]:
-        brake, hit = self._hardest_brake(), self.collision
-        if hit is not None:
-            return [f"  {brake}", *self._backwards()]
-        lines, worst = [], self.worst_ttc
-        if worst is not None:
+        hz = self.trace.physics_hz
+        ego = self.trace.ego
+        brake = f"hardest braking by the ego: {self.hardest_brake:.1f} m/s^2"
+        if self.hardest_brake >= 0.05:
+            brake = f"{brake} at {int(np.nanargmin(ego[:, ACCELERATION])) / hz:.1f} s"
+        lines = []
+        worst = self.worst_ttc
+        if self.collision is None and worst is not None:
             place = f"NPC {worst.npc} {self.place_of(worst)}".rstrip()
             lines.append(
                 f"  smallest time to contact: {self.min_ttc:.2f} s, {place} at {worst.time:.1f} s"
             )
-        lines.append(
-            f"  smallest distance: {self.min_distance:.2f} m at {self.closest_time:.1f} s; {brake}"
-        )
-        return [*lines, *self._backwards()]
-
-    def _backwards(self) -> list[str]:
-        speeds = self.trace.ego[:, SPEED]
+        if self.collision is None:
+            distance = f"{self.min_distance:.2f} m at {self.closest_time:.1f} s"
+            brake = f"smallest distance: {distance}; {brake}"
+        lines.append(f"  {brake}")
+        speeds = ego[:, SPEED]
         tick = int(np.nanargmin(speeds))  # no other measure shows that the ego drove backwards
-        if speeds[tick] > -BACKWARDS:
-            return []
-        return [
-            f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / self.trace.physics_hz:.1f} s"
-        ]
-
-    def _hardest_brake(self) -> str:
-        text = f"hardest braking by the ego: {self.hardest_brake:.1f} m/s^2"
-        if self.hardest_brake < 0.05:
-            return text
-        time = int(np.nanargmin(self.trace.ego[:, ACCELERATION])) / self.trace.physics_hz
-        return f"{text} at {time:.1f} s"
-
-
-def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
-    """Describe a crossing NPC's instruction in words."""
-    return instruction.words_from("" if zone is None else zone.whence)
+        if speeds[tick] <= -BACKWARDS:
+            lines.append(
+                f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / hz:.1f} s"
+            )
+        return lines
 
 
 def lanes_apart(trace: Trace, npc: int, gene: int) -> float:
@@ -738,25 +780,19 @@ def lanes_apart(trace: Trace, npc: int, gene: int) -> float:
 
 def arrival(trace: Trace, npc: int, gene: int) -> int | None:
     """Return the tick at which an NPC reached a gene's target, or None."""
-    chain, arrivals = (
-        trace.executed.npcs[npc],
-        trace.arrivals[npc] if npc < len(trace.arrivals) else (),
-    )
-
-    def keeps_new_lane(later: int) -> bool:
-        lanes = chain[gene].lasting(chain[later])
-        return (
-            lanes is not None
-            and _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == lanes
-        )
-
-    # A lane change can take longer than a short gene. It also counts if the NPC arrives in its new lane during the next
-    # genes, as long as these keep that lane.
-    genes = (gene, *takewhile(keeps_new_lane, range(gene + 1, len(arrivals))))
-    return next(
-        (arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None),
-        None,
-    )
+    if npc >= len(trace.arrivals):
+        return None
+    chain = trace.executed.npcs[npc]
+    for later, tick in enumerate(trace.arrivals[npc][gene:], gene):
+        # A lane change can take longer than a short gene. It also counts if the NPC arrives in its new lane during the
+        # next genes, as long as these keep that lane.
+        if later > gene:
+            moved = _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene)
+            if moved != chain[gene].lasting(chain[later]):
+                return None
+        if tick is not None:
+            return tick
+    return None
 
 
 def _lane_at(trace: Trace, vehicle: int, gene: int) -> float:
@@ -769,18 +805,21 @@ def _lane_at(trace: Trace, vehicle: int, gene: int) -> float:
 
 def _crossing_lines(trace: Trace) -> list[str]:
     # One line for each crossing NPC: its path, its instruction, and its time in the conflict zone.
-    told = [(npc, each) for npc, each in enumerate(trace.executed.crossings) if each is not None]
-    shown = told[: MAX_GENE_ROWS - (2 if None in trace.executed.crossings else 0)]
-    zones, passed = trace.zones or (None,) * len(trace.executed.npcs), passages(trace)
-    lines = [
-        f"  NPC {npc}: {each.zone} {crossing_text(each, zones[npc])}, {each.speed:.1f} m/s{_passed(passed[npc])}"
-        for npc, each in shown
-    ]
-    return (
-        lines
-        if len(shown) == len(told)
-        else [*lines, f"  ... and {len(told) - len(shown)} more crossing NPCs"]
-    )
+    crossings = trace.executed.crossings
+    told = [(npc, each) for npc, each in enumerate(crossings) if each is not None]
+    room = MAX_GENE_ROWS
+    if None in crossings:
+        room -= 2  # for the table of the other NPCs
+    passed = passages(trace)
+    lines = []
+    for npc, each in told[:room]:
+        zone = trace.zone_of(npc)
+        words = each.words_from("" if zone is None else zone.whence)
+        line = f"  NPC {npc}: {each.zone} {words}, {each.speed:.1f} m/s"
+        lines.append(f"{line}{_passed(passed[npc])}")
+    if len(told) > room:
+        lines.append(f"  ... and {len(told) - room} more crossing NPCs")
+    return lines
 
 
 def _passed(passage: Passage | None) -> str:
@@ -802,7 +841,8 @@ def _passed(passage: Passage | None) -> str:
 def _gene_table(trace: Trace, room: int) -> list[str]:
     # A row per gene and a column per NPC, for the last genes that started. A gene in which all NPCs continue shares the
     # row of the previous gene. Times are in seconds.
-    scenario, seconds = trace.executed, trace.executed.gene_seconds
+    scenario = trace.executed
+    seconds = scenario.gene_seconds
     npcs = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].crosses]
     if not npcs:
         return []
@@ -810,16 +850,19 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     starts = [
         gene for gene in range(started) if any(_is_new(trace.chains[npc], gene) for npc in npcs)
     ]
-    spans = list(pairwise([*starts, started]))
-    times = [
-        f"{start * seconds:10.1f}{f' to {end * seconds:.1f}' if end - start > 1 else ''}"
-        for start, end in spans
-    ]
+    spans = [range(start, end) for start, end in pairwise([*starts, started])]
+    times = []
+    for span in spans:
+        time = f"{span.start * seconds:10.1f}"
+        if len(span) > 1:
+            time = f"{time} to {span.stop * seconds:.1f}"
+        times.append(time)
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
     # Shorten the wording until the table fits.
-    for wording in _WORDINGS[{1: 0, 2: 1}.get(len(npcs), -1) :]:
+    longest = {1: 0, 2: 1}.get(len(npcs), -1)
+    for wording in _WORDINGS[longest:]:
         rows = [
-            [time, *(_gene(trace, npc, range(*span), *wording) for npc in npcs)]
+            [time, *(_gene(trace, npc, span, *wording) for npc in npcs)]
             for time, span in zip(times, spans, strict=True)
         ]
         shown = [header, *rows[-max(room, 1) :]]
@@ -827,8 +870,11 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
         head, *lines = ["  ".join(map(str.ljust, row, widths)) for row in shown]
         if max(len(line.rstrip()) for line in lines) <= LINE_LENGTH:
             break
-    earlier = f"  ({len(rows) - len(lines)} earlier)" if len(rows) > len(lines) else ""
-    head = head if len(head + earlier) <= LINE_LENGTH else head.rstrip()
+    earlier = ""
+    if len(rows) > len(lines):
+        earlier = f"  ({len(rows) - len(lines)} earlier)"
+    if len(head + earlier) > LINE_LENGTH:
+        head = head.rstrip()
     return [line.rstrip() for line in (head + earlier, *lines)]
 
 
@@ -839,25 +885,28 @@ def _is_new(chain: Chromosome, gene: int) -> bool:
 
 
 def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) -> str:
-    chain, gene = trace.chains[npc], genes[0]
+    chain = trace.chains[npc]
+    gene = genes[0]
+    hz = trace.physics_hz
     if gene >= len(chain):
         return "-"
     instruction = chain[gene]
     if not reached:
         return f"{instruction.target} {instruction.speed:.1f}"
-    arrivals = (arrival(trace, npc, each) for each in genes if each < len(chain))
-    tick = next((each for each in arrivals if each is not None), None)
-    if tick is None:
-        return instruction.row(lanes_apart(trace, npc, gene), "not reached", names_side=names_side)
-    first, last = (
-        round(each * trace.scenario.gene_seconds * trace.physics_hz)
-        for each in (gene, genes[-1] + 1)
-    )
-    speeds = trace.states[min(first, trace.ticks) : last + 1, npc + 1, SPEED]
-    nearest = float(speeds[np.abs(speeds - instruction.speed).argmin()])
-    end, at = f"{reached}{tick / trace.physics_hz:.1f} s", f"{tick / trace.physics_hz:.1f} s"
-    # the NPC reached the position, but not the speed
-    if abs(nearest - instruction.speed) > NEAR_SPEED:
-        how = f"{'slowest' if nearest > instruction.speed else 'fastest'} {nearest:.1f} m/s"
-        end = f"in place from {at}, {how}" if reached.endswith("at ") else f"in place {at}"
+    arrivals = [arrival(trace, npc, each) for each in genes if each < len(chain)]
+    ticks = [tick for tick in arrivals if tick is not None]
+    end = "not reached"
+    if ticks:
+        at = f"{ticks[0] / hz:.1f} s"
+        end = f"{reached}{at}"
+        first = min(round(gene * trace.scenario.gene_seconds * hz), trace.ticks)
+        last = round(genes.stop * trace.scenario.gene_seconds * hz)
+        speeds = trace.states[first : last + 1, npc + 1, SPEED]
+        nearest = float(speeds[np.abs(speeds - instruction.speed).argmin()])
+        # the NPC reached the position, but not the speed
+        if abs(nearest - instruction.speed) > NEAR_SPEED:
+            end = f"in place {at}"
+            if reached.endswith("at "):
+                extreme = "slowest" if nearest > instruction.speed else "fastest"
+                end = f"in place from {at}, {extreme} {nearest:.1f} m/s"
     return instruction.row(lanes_apart(trace, npc, gene), end, names_side=names_side)

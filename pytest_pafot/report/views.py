@@ -14,7 +14,7 @@ import numpy as np
 from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.sentences import ALSO
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc
+from pytest_pafot.criticality import gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.measures import stretches
 from pytest_pafot.findings.decisions import deed_of, is_si, sentences_of
 from pytest_pafot.findings.finding import Expect, Finding
@@ -431,7 +431,8 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> list[View]:
     states = trace.states[ticks]
     along, across = trace.road.drawn(states[:, :, X], states[:, :, Y])
     heading = trace.road.drawn_headings[ticks]
-    encounters = Encounters(trace)
+    road = trace.road
+    ego_length = float(trace.sizes[0, 0])
     gaps = gap(trace)[ticks]
     times = ttc(trace)[ticks]
     advantages = time_advantage(trace)[ticks]
@@ -458,9 +459,10 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> list[View]:
         views.append(view)
         if vehicle == 0:
             continue
-        is_on_way = encounters.is_on_way[npc]
+        is_on_way = road.is_on_way[npc]
         view["cells"] = [
-            int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks
+            int(road.cell(npc, tick, ego_length) or 0) if is_on_way[tick] else None
+            for tick in ticks
         ]
         view["gap"] = _numbers(gaps[:, npc], 2)
         view["ttc"] = _numbers(times[:, npc], 2)

@@ -33,7 +33,7 @@ from pytest_pafot.world.codec import checked_world
 from pytest_pafot.world.driving.policy import AdsFactory
 from pytest_pafot.world.engines.simulation import HEADINGS, STARTS, Frame, Reference
 from pytest_pafot.world.guard.chance import GENERATORS
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 
 # The durations of the experiments [s]. In the last one, vehicles that have stopped drive on at `STAND`.
 COAST = 1.5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -13,35 +14,51 @@ from pytest_pafot.attribution.responsibility import HARDEST
 from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.findings.finding import DRIVEN_ON
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.instructions import Cell, PositionInstruction, ScenarioError
-from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario
+from pytest_pafot.model.instructions import (
+    LARGEST_SLOT,
+    SLOT_STEPS_PER_SECOND,
+    Cell,
+    CrossingInstruction,
+    PositionInstruction,
+    ScenarioError,
+)
+from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario, rng_of
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType
+from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleName, VehicleType
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import AdsFactoryError, DriverError, FieldError, WorldError
 from pytest_pafot.support.text import one_line
-from pytest_pafot.world.driving.policy import AdsFactory, Policy, idm_model
-from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, planner_run, vehicle_run
+from pytest_pafot.world.driving.policy import AdsFactory, Policy, ads_and_sight, idm_model
+from pytest_pafot.world.engines.run import (
+    ADS_HZ,
+    PHYSICS_HZ,
+    FixedObject,
+    OwnEnds,
+    Rules,
+    VehiclesOfRun,
+    built_as,
+    check_divides,
+    check_ticks,
+    make_ego,
+    planner_driver,
+)
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.lanes import Body
+from pytest_pafot.world.kernel.loop import ModelDriver
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import (
-    ADS_HZ,
     CLEARANCE,
     HANG_LIMIT,
     HEADWAY,
-    PHYSICS_HZ,
     TOP_SPEED,
     NpcLimits,
-    check_divides,
-    check_ticks,
     number_within,
     whole_within,
 )
-from pytest_pafot.world.reference_drivers import REFERENCES, RecordedBody, ReferenceDriver, Relief
+from pytest_pafot.world.reference_drivers import REFERENCES, CarefulHuman, RecordedBody, Relief
 from pytest_pafot.world.roads.road import Meeting, Road, StraightRoad, ego_start
-from pytest_pafot.world.run_config import Rules
 
 if TYPE_CHECKING:
     from pytest_pafot.algorithms.space import SearchSpace
@@ -58,39 +75,12 @@ class FirstDecision:
     advice: str = ""
 
 
-def decision_asked(
-    rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario
-) -> FirstDecision | None:
-    """Describe the first decision in a scenario, or return None if the run fails earlier."""
-    seen: list[Any] = []
-    # returns None, so that the error names the expected action
-    trace = rollout(scenario, lambda: seen.append)
-    if not seen or trace.error is None:
-        return None
-    # The run ended because the action was None. The error states the expected action.
-    expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
-    observation = seen[0]
-    is_si = isinstance(observation, Observation)
-    if is_si:
-        fields = "time, ego, others, lanes, lane_width, speed_limit"
-        given = f"a pafot.Observation ({fields}, and .array of shape {observation.array.shape})"
-    elif (shape := getattr(observation, "shape", None)) is None:
-        given = f"a {type(observation).__name__}"
-    else:
-        given = f"an array of shape {tuple(shape)} and type {observation.dtype}"
-    return FirstDecision(is_si, f"The ADS was given {given}, and must return {expected}.")
-
-
 class RoadStart(NamedTuple):
     """The ego's required lane and speed [m/s] at the start, and the ticks per second."""
 
     lane: int
     speed: float
     physics_hz: float
-
-
-# The smallest and largest accepted values of the fields that all worlds have.
-BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
 
 
 # The smallest and largest accepted durations [s] of continued runs.
@@ -187,7 +177,8 @@ class BaseWorld(ABC):
         rules, lasts = self._rules, self.lasts
         if lasts is None:
             return rules
-        return replace(rules, lasts=min(lasts, (rules.road.length - rules.ego_start) / TOP_SPEED))
+        longest = (rules.road.length - rules.ego_start) / TOP_SPEED
+        return replace(rules, lasts=min(lasts, longest))
 
     @property
     @abstractmethod
@@ -204,12 +195,11 @@ class BaseWorld(ABC):
             straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit)
         )
 
-    @property
-    def stock_road(self) -> Any:
+    def stock_road(self, np_random: Any = None) -> Any:
         # The road as a highway-env road without vehicles.
-        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
+        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (a second of imports)
 
-        return Road(self.network)
+        return Road(self.network, np_random=np_random)
 
     @property
     @abstractmethod
@@ -223,13 +213,16 @@ class BaseWorld(ABC):
 
     @property
     def road_start(self) -> RoadStart | None:
-        return (
-            None if self.start is None else RoadStart(*self.start, physics_hz=self.rules.physics_hz)
-        )
+        if self.start is None:
+            return None
+        return RoadStart(*self.start, physics_hz=self.rules.physics_hz)
 
     @property
     def straight_road(self) -> StraightRoad | None:
-        return self.road if isinstance(self.road, StraightRoad) else None
+        road = self.road
+        if isinstance(road, StraightRoad):
+            return road
+        return None
 
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether an NPC of this type can follow all bends of the ego's path."""
@@ -238,12 +231,15 @@ class BaseWorld(ABC):
     @property
     def longest_run(self) -> float:
         """The longest duration [s] of a run. A run of a shorter scenario ends earlier."""
-        return self.rules.duration if self.rules.lasts is None else self.rules.lasts
+        rules = self.rules
+        if rules.lasts is None:
+            return rules.duration
+        return rules.lasts
 
     @property
     def crossings(self) -> Crossings | None:
         """The paths that cross or join the ego's path, or None if there are none."""
-        return self.rules.crossings
+        return self.rules.road.crossings
 
     def check_fits(self, scenario: Scenario) -> None:
         """Check that a scenario fits this world.
@@ -251,7 +247,65 @@ class BaseWorld(ABC):
         Raises:
             ScenarioError: if it does not fit. The error names the field.
         """
-        self.rules.check_fits(scenario)
+        if not isinstance(scenario, Scenario):
+            raise ScenarioError(
+                field="scenario",
+                expected="a Scenario",
+                received=repr(scenario),
+            )
+        rules = self.rules
+        road = rules.road
+        lane = scenario.ego_lane
+        if lane not in road.start_lanes:
+            expected, fix = road.said_of_start_lanes
+            raise ScenarioError(
+                field="ego_lane",
+                expected=expected,
+                received=str(lane),
+                fix=fix,
+            )
+        # NPCs that cross start on their own paths, so they need no cell.
+        cells = rules.start_cells(scenario, rules.ego.length)
+        on_grid = sum(not chain[0].crosses for chain in scenario.npcs)
+        if on_grid > len(cells):
+            kind = " that do not cross" if scenario.crossings else ""
+            raise ScenarioError(
+                field="npcs",
+                expected=f"at most {len(cells)} NPCs{kind}, one for each cell around lane {lane}",
+                received=str(on_grid),
+            )
+        _check_speeds(rules, scenario)
+        near = rules.object_at_start(lane, scenario.ego_speed)
+        if near is not None:
+            rules.refuse_start(scenario, near)
+        # A crossing NPC drives on its own path, which may have tighter bends than the ego's path.
+        zones: list[str | None] = [None] * len(scenario.npcs)
+        for npc, instruction in enumerate(scenario.crossings):
+            if instruction is not None:
+                _check_crossing(road.crossings, f"npcs[{npc}][0]", instruction)
+                zones[npc] = instruction.zone
+        for npc, vehicle in enumerate(scenario.vehicles):
+            zone = zones[npc]
+            if not road.can_drive(vehicle, zone):
+                least = vehicle.length / (TIGHTEST * CAR.length)
+                raise ScenarioError(
+                    field=f"vehicles[{npc}]",
+                    expected=f"a vehicle that can follow the bends of {zone or 'the road'}",
+                    received=vehicle.described,
+                    fix=f"it needs bend radii of at least {least:.1f} m. "
+                    "Give the NPC a shorter vehicle or another path",
+                )
+        # Instructions change only between ticks. The tolerance allows for rounding.
+        ticks = scenario.gene_seconds * rules.physics_hz
+        whole = round(ticks)
+        if abs(ticks - whole) > 1e-6 or whole < 1:
+            nearest = round(max(whole, 1) / rules.physics_hz, 13)
+            raise ScenarioError(
+                field="gene_seconds",
+                expected=f"a whole number of ticks of 1/{rules.physics_hz:.6g} s",
+                received=f"{scenario.gene_seconds:g}",
+                fix=f"the nearest valid duration is {nearest!r} s",
+            )
 
     def lasting(self, seconds: float) -> Self:
         """Return a copy of this world in which runs last ``seconds``, even if the scenario or ``duration`` is shorter.
@@ -286,13 +340,16 @@ class BaseWorld(ABC):
                 expected=f"a tick of the run, from 0 to {trace.ticks}",
                 received=repr(tick),
             )
-        if trace.physics_hz != self.rules.physics_hz:
-            expected = f"a run with {self.rules.physics_hz} ticks per second, as in this world"
+        # The recorded states can only be repeated at the same ticks.
+        physics_hz = self.rules.physics_hz
+        if trace.physics_hz != physics_hz:
             raise WorldError(
-                field="trace", expected=expected, received=f"a run with {trace.physics_hz}"
+                field="trace",
+                expected=f"a run with {physics_hz} ticks per second, as in this world",
+                received=f"a run with {trace.physics_hz}",
             )
         # The ego repeats its states, so the NPCs repeat theirs. The driver starts to watch shortly before the tick.
-        seconds = tick / trace.physics_hz
+        seconds = tick / physics_hz
         return self._driven_by(
             lambda: (Relief(_reference_driver(name), seconds), self._repeated(trace, tick)),
             trace.executed,
@@ -307,19 +364,20 @@ class BaseWorld(ABC):
         driver_of: Callable[[], tuple[Callable[[Observation], Any], Body | None]],
         scenario: Scenario,
     ) -> Trace:
-        self.rules.check_fits(scenario)
+        self.check_fits(scenario)
+        rules = self.rules
         # A reference driver decides at every tick. `policy_hz` keeps the length of the environment's steps.
-        every_tick = replace(self.rules, ads_hz=self.rules.physics_hz, policy_hz=self.rules.ads_hz)
+        every_tick = replace(rules, ads_hz=rules.physics_hz, policy_hz=rules.ads_hz)
 
         def driven(scenario: Scenario, factory: Callable[[], Any]) -> Trace:
             driver, body = factory()
             return self._planned(every_tick, scenario, driver, body=body)
 
         # Reference drivers draw no random numbers, but a user's code that ends runs may.
-        has_code = self.rules.ends or self.rules.ends_in_steps
-        return (
-            GENERATORS.run(driven, scenario, driver_of) if has_code else driven(scenario, driver_of)
-        )
+        if rules.ends or rules.ends_in_steps:
+            trace: Trace = GENERATORS.run(driven, scenario, driver_of)
+            return trace
+        return driven(scenario, driver_of)
 
     def _planned(
         self,
@@ -329,28 +387,69 @@ class BaseWorld(ABC):
         decisions: Sequence[Any] = (),
         body: Body | None = None,
     ) -> Trace:
-        guard = HangGuard(rules.hang_limit)
-        stock_road = lambda: self.stock_road  # noqa: E731  (making it imports highway-env)
-        vehicles, driver = planner_run(
-            rules, scenario, stock_road, ads, guard, decisions=decisions, body=body
-        )
-        return vehicles.drive(driver, guard, self._own_ends(rules, scenario, vehicles, guard))
+        """Run a planner in SI units.
 
-    def _own_ends(
-        self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
-    ) -> OwnEnds | None:
+        ``decisions`` replace the first calls of the planner. ``body`` is the ego's body, or None for a default one.
+        """
+        guard = HangGuard(rules.hang_limit)
+        decides, sight = ads_and_sight(ads)
+        vehicles = self._vehicles(rules, scenario, body)
+        driver = planner_driver(vehicles, decides, guard, sight, decisions)
+        return vehicles.drive(driver, guard, self._own_ends(vehicles, guard))
+
+    def _vehicles(self, rules: Rules, scenario: Scenario, body: Body | None) -> VehiclesOfRun:
+        ego = body or Body(rules.ego.length, rules.ego.width)
+        ego.place(*rules.ego_position(scenario), rules.ego_speed(scenario))
+        return VehiclesOfRun(rules, scenario, ego, self.stock_road)
+
+    def _own_ends(self, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
         # The methods with which the environment of this world can end a run early, or None.
         return None
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
         """Describe the first decision in a scenario, or return None if the run fails earlier."""
-        return decision_asked(self.rollout, scenario)
+        seen: list[Any] = []
+        # `append` returns None, so the run ends with an error that names the expected action.
+        trace = self.rollout(scenario, lambda: seen.append)
+        if not seen or trace.error is None:
+            return None
+        # Only the first half of the message; the second half states the None of this function.
+        expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
+        observation = seen[0]
+        is_si = isinstance(observation, Observation)
+        shape = getattr(observation, "shape", None)
+        if is_si:
+            fields = "time, ego, others, lanes, lane_width, speed_limit"
+            given = f"a pafot.Observation ({fields}, and .array of shape {observation.array.shape})"
+        elif shape is None:
+            given = f"a {type(observation).__name__}"
+        else:
+            given = f"an array of shape {tuple(shape)} and type {observation.dtype}"
+        return FirstDecision(is_si, f"The ADS was given {given}, and must return {expected}.")
+
+    def _check_number(self, name: str, low: float, high: float) -> None:
+        # The class of a world is frozen, so it does not allow assignments.
+        object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))
+
+    def _check_whole(self, name: str, low: int, high: int) -> None:
+        object.__setattr__(self, name, whole_within(name, getattr(self, name), low, high))
+
+    def _refused(self, name: str, expected: str, fix: str = "") -> WorldError:
+        received = f"{getattr(self, name)!r:.200}"
+        return WorldError(
+            field=name,
+            expected=expected,
+            received=received,
+            fix=fix,
+        )
 
     def _check_fields(self) -> None:
-        for name, low, high in BOUNDS:
-            object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))
+        """Check the fields that all worlds have."""
+        self._check_number("clearance", 0.0, 50.0)
+        self._check_number("headway", 0.0, 10.0)
+        self._check_number("hang_limit", 0.01, 86400.0)
         if self.lasts is not None:
-            object.__setattr__(self, "lasts", number_within("lasts", self.lasts, *LASTS))
+            self._check_number("lasts", *LASTS)
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(
                 field="limits", expected="a pafot.NpcLimits object", received=repr(self.limits)
@@ -358,17 +457,23 @@ class BaseWorld(ABC):
         try:
             object.__setattr__(self, "ego", VehicleType.parse(self.ego))
         except FieldError as error:
+            # The error names a field of the vehicle type, or "vehicle" for the whole value.
             raise WorldError(f"ego.{error}".replace("ego.vehicle:", "ego:")) from None
         if self.ego.braking < HARDEST:
-            expected = f"a vehicle that can brake at {HARDEST:g} m/s^2, which the rules require of every driver"
-            received = f"{self.ego.name!r}, which can brake at only {self.ego.braking:g} m/s^2"
-            raise WorldError(field="ego", expected=expected, received=received)
+            raise WorldError(
+                field="ego",
+                expected=f"a vehicle that can brake at {HARDEST:g} m/s^2, which the rules require of every driver",
+                received=f"{self.ego.name!r}, which can brake at only {self.ego.braking:g} m/s^2",
+            )
 
     def _to_dict(self, **without: Any) -> dict[str, Any]:
+        # `asdict` copies all values, which fails for some user's objects, so they are removed first.
         data = asdict(cast("Any", replace)(self, **without))
         for name in ("lasts", "ego", *without):
             del data[name]
-        return data if self.ego == CAR else {**data, "ego": self.ego.plain()}
+        if self.ego != CAR:
+            data["ego"] = self.ego.plain()
+        return data
 
     def _rules_on(
         self,
@@ -377,11 +482,15 @@ class BaseWorld(ABC):
         physics_hz: float,
         ads_hz: float,
         duration: float,
-        obstacles: tuple[tuple[float, float, float, float, float], ...] = (),
+        obstacles: tuple[FixedObject, ...] = (),
     ) -> Rules:
+        # The run of an ego that cannot follow the road would end wherever it first bends.
         if not road.can_drive(self.ego):
-            expected = "a vehicle that can follow the bends of the road"
-            raise WorldError(field="ego", expected=expected, received=self.ego.described)
+            raise WorldError(
+                field="ego",
+                expected="a vehicle that can follow the bends of the road",
+                received=self.ego.described,
+            )
         return Rules(
             road=road,
             physics_hz=physics_hz,
@@ -399,30 +508,32 @@ class BaseWorld(ABC):
         """Return the search space for this world and the given fields, as created by ``space_on``."""
         from pytest_pafot.algorithms.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
 
-        given = {**given, "tick": self.tick} if self.tick else given
+        if self.tick:
+            given = {**given, "tick": self.tick}
         return space_on(float(self.speed_limit), float(self.longest_run), given, self.road_start)
 
     @property
     def most_on_grid(self) -> int:
         # The largest number of NPCs in cells around the ego's required start, or 8 if no start is required.
         start = self.road_start
-        return (
-            len(Cell)
-            if start is None
-            else next(n for n in range(len(Cell), -1, -1) if self._has_cells(start, n))
-        )
+        if start is None:
+            return len(Cell)
+        for npcs in range(len(Cell), 0, -1):
+            if self._has_cells(start, npcs):
+                return npcs
+        return 0
 
     def _has_cells(self, start: RoadStart, npcs: int) -> bool:
-        chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
+        # The number that fits depends only on the cells around the start, so any instructions will do.
+        cells = list(Cell)[:npcs]
+        chains = tuple((PositionInstruction(cell, 0.0),) for cell in cells)
+        seconds = self.tick or 1.0
         try:
-            if npcs:
-                # The number that fits depends only on the cells around the start, so any instructions will do.
-                time = self.tick or 1.0
-                self.check_fits(
-                    Scenario(
-                        npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=time
-                    )
+            self.check_fits(
+                Scenario(
+                    npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=seconds
                 )
+            )
         except ScenarioError:
             return False
         return True
@@ -432,7 +543,64 @@ class BaseWorld(ABC):
         return Run(trace, take_over=TakingOver(self))
 
 
-def _reference_driver(name: str) -> ReferenceDriver:
+def _check_speeds(rules: Rules, scenario: Scenario) -> None:
+    limit = rules.road.speed_limit
+    top = rules.limits.top_speed(limit)
+    if scenario.ego_speed > top:
+        # Rounded down, so that the stated speed is valid.
+        reached = math.floor(100 * top) / 100
+        raise ScenarioError(
+            field="ego_speed",
+            expected=f"at most {reached:.2f} m/s, the NPCs' top speed, because NPCs start at the ego's speed",
+            received=f"{scenario.ego_speed:g}",
+        )
+    for npc, chain in enumerate(scenario.npcs):
+        for gene, instruction in enumerate(chain):
+            if instruction.speed > limit + 1e-9:
+                raise ScenarioError(
+                    field=f"npcs[{npc}][{gene}].speed",
+                    expected=f"at most the speed limit of {limit:g} m/s",
+                    received=f"{instruction.speed:g}",
+                )
+
+
+def _check_crossing(
+    crossings: Crossings | None, place: str, instruction: CrossingInstruction
+) -> None:
+    zone = instruction.zone
+    if crossings is None:
+        raise ScenarioError(
+            field=place,
+            expected="no crossing NPC, because no other path crosses the ego's path on this road",
+            received=f"zone {zone}",
+            fix='use PositionInstruction(cell, speed), or a world with crossings, such as "intersection-v0"',
+        )
+    if zone not in crossings.ways:
+        raise ScenarioError(
+            field=f"{place}.zone",
+            expected=f"one of {', '.join(zone.way for zone in crossings.zones)}",
+            received=zone,
+            fix="a path that starts with the ego's path, or does not meet it, has no zone",
+        )
+    if crossings.fits(instruction):
+        return
+    # The error states which slots are valid.
+    most = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
+    slots = [step / SLOT_STEPS_PER_SECOND for step in range(-most, most + 1)]
+    slots = [slot for slot in slots if crossings.fits(replace(instruction, slot=slot))]
+    fits = "a zone or speed other than"
+    if slots:
+        fits = f"a slot from {min(slots):g} to {max(slots):g} s at"
+    speed = f"{instruction.speed:g} m/s"
+    along = crossings.start(instruction)
+    raise ScenarioError(
+        field=f"{place}.slot",
+        expected=f"{fits} {zone} and {speed}, so that the NPC starts on its path before the zone",
+        received=f"{instruction.slot:g} s, with which the NPC would start {along:.0f} m along its path",
+    )
+
+
+def _reference_driver(name: str) -> CarefulHuman:
     if name not in REFERENCES:
         raise WorldError(f"reference driver: expected {' or '.join(REFERENCES)}, received {name!r}")
     return REFERENCES[name]()
@@ -448,10 +616,11 @@ class TakingOver:
         try:
             return self.world.take_over(trace, tick, CAREFUL)
         except Exception as error:  # raised by a user's simulator
-            text = (
-                f"take_over with the driver {CAREFUL!r} failed in the {type(self.world).__name__}: "
-            )
-            raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
+            world = type(self.world).__name__
+            # The message of a user's exception can have several lines.
+            raised = f"{type(error).__name__}: {one_line(str(error))}"
+            text = f"take_over with the driver {CAREFUL!r} failed in the {world}: {raised}"
+            raise DriverError(text) from error
 
     def lasting(self, seconds: float) -> TakingOver:
         return TakingOver(self.world.lasting(seconds))
@@ -500,30 +669,21 @@ class Highway(BaseWorld):
     lasts: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        for name, bounds in (
-            ("lanes", LANE_COUNTS),
-            ("physics_hz", PHYSICS_HZ),
-            ("ads_hz", ADS_HZ),
-        ):
-            object.__setattr__(self, name, whole_within(name, getattr(self, name), *bounds))
-        for name, low, high in (
-            ("speed_limit", 5.0, TOP_SPEED),
-            ("duration", 1 / self.physics_hz, 3600.0),
-        ):
-            object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))
+        self._check_whole("lanes", *LANE_COUNTS)
+        self._check_whole("physics_hz", *PHYSICS_HZ)
+        self._check_whole("ads_hz", *ADS_HZ)
+        self._check_number("speed_limit", 5.0, TOP_SPEED)
+        self._check_number("duration", 1 / self.physics_hz, 3600.0)
         self._check_fields()
-        check_divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
+        check_divides("physics_hz", self.physics_hz, "ads_hz", self.ads_hz)
         check_ticks(self.duration, self.physics_hz)
         self.limits.top_speed(self.speed_limit)
 
     @cached_property
     def road(self) -> StraightRoad:
         # The road is so long that no vehicle reaches the end, even in a run that is continued.
-        length = (
-            100.0
-            + 2 * ego_start(self.headway, self.clearance)
-            + TOP_SPEED * (self.duration + DRIVEN_ON)
-        )
+        ends = 2 * ego_start(self.headway, self.clearance)
+        length = 100.0 + ends + TOP_SPEED * (self.duration + DRIVEN_ON)
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
 
     def rollout(
@@ -551,16 +711,40 @@ class Highway(BaseWorld):
                 "ads: expected a factory without the parameter `env`, because pafot.Highway has no environment. "
                 'For planners that simulate inside an environment, use world=pafot.World("highway-v0")'
             )
-        ads, rules = policy.make(), self.rules
+        ads = policy.make()
         if ads.drives_itself:
+            # A vehicle class has no decisions that could be replaced.
             if decisions:
                 raise WorldError(
                     f"decisions: expected none for {ads.given!r}, because a vehicle class drives itself and returns no "
                     f"actions, received {len(decisions)}. Omit them"
                 )
-            return vehicle_run(rules, scenario, self.road, lambda: self.network, ads.given)
+            return self._vehicle_run(scenario, ads.given)
+        # A planner may hold resources, such as a process, until the end of its run.
         with closing(ads.given, self.hang_limit):
-            return self._planned(rules, scenario, ads.given, decisions)
+            return self._planned(self.rules, scenario, ads.given, decisions)
+
+    def _vehicle_run(self, scenario: Scenario, given: Any) -> Trace:
+        """Run a highway-env vehicle class."""
+        rules = self.rules
+        vehicle_class = built_as(rules.ego, given)
+        guard = HangGuard(rules.hang_limit)
+        model = idm_model(vehicle_class)
+        if model is not None:  # the kernel drives it
+            ego = GoalVehicle(model.constants, self.road.grid, self.road.speed_limit)
+            start = rules.ego_position(scenario)
+            ego.start(*start, rules.ego_speed(scenario), model.changes_lanes)
+            vehicles = VehiclesOfRun(
+                rules, scenario, ego, lambda: self.stock_road(rng_of(scenario.seed))
+            )
+            return vehicles.drive(ModelDriver(ego, vehicles.vehicles[1:]), guard)
+        from pytest_pafot.world.driving.environment import ObjectDriver  # noqa: PLC0415  (a second of imports)
+
+        road = self.stock_road(rng_of(scenario.seed))
+        driver = ObjectDriver(make_ego(rules, scenario, vehicle_class, road), road, guard)
+        vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: road)
+        driver.show(vehicles.places, self.road)
+        return vehicles.drive(driver, guard)
 
     is_resumable = True
 

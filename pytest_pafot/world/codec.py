@@ -18,8 +18,9 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import differences, listed, safe_repr
 from pytest_pafot.world.base_world import BaseWorld, Highway
+from pytest_pafot.world.engines.run import PHYSICS_HZ
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
-from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 # The class names of the package's simulators, by their `kind` in files, which is also the name of their module.
@@ -47,20 +48,21 @@ def checked_world(given: Any) -> BaseWorld:
     Raises:
         WorldError: for any other object, including an instance of a derived class.
     """
-    if type(given) in (*BUILT_IN.values(), SimulatorWorld):
+    # An instance of a derived class would be saved as its base class, and replayed without its changes.
+    classes = (*BUILT_IN.values(), SimulatorWorld)
+    if type(given) in classes:
         world: BaseWorld = given
         return world
-    if isinstance(given, BaseWorld):
-        name = next(
-            each.__name__
-            for each in type(given).__mro__
-            if each in (*BUILT_IN.values(), SimulatorWorld)
-        )
-        fix = f"use pafot.{name} itself, because a file cannot describe what a derived class does"
-    else:
-        fix = "derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
-    expected = "pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...)"
-    raise WorldError(field="world", expected=expected, received=safe_repr(given), fix=fix)
+    fix = "derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
+    for each in classes:
+        if isinstance(given, each):
+            fix = f"use pafot.{each.__name__} itself, because a file cannot describe what a derived class does"
+    raise WorldError(
+        field="world",
+        expected="pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...)",
+        received=safe_repr(given),
+        fix=fix,
+    )
 
 
 def from_dict(data: Mapping[str, Any]) -> BaseWorld:
@@ -71,39 +73,48 @@ def from_dict(data: Mapping[str, Any]) -> BaseWorld:
             data that the simulator does not accept.
     """
     if not isinstance(data, Mapping):
-        raise WorldError(field="world", expected="a mapping", received=repr(data))
-    kind, values = data.get("kind"), {key: value for key, value in data.items() if key != "kind"}
+        raise WorldError(
+            field="world",
+            expected="a mapping",
+            received=repr(data),
+        )
+    values = dict(data)
+    kind = values.pop("kind", None)
+    # The kind of an untrusted file need not be hashable.
     if isinstance(kind, str) and kind in BUILT_IN:
         return _built_in(kind, values)
     if isinstance(kind, str) and kind in SIMULATORS:
         return _of_simulator(kind, values)
-    hint = "a file cannot contain the code of your simulator. Use the world object itself, or --world module:factory"
-    known = ", ".join(sorted([*BUILT_IN, *SIMULATORS]))
+    fix = ""
+    if kind == OWN:
+        fix = "a file cannot contain the code of your simulator. Use the world object itself, or --world module:factory"
     raise WorldError(
         field="world.kind",
-        expected=f"one of {known}",
+        expected=f"one of {', '.join(sorted([*BUILT_IN, *SIMULATORS]))}",
         received=repr(kind),
-        fix=hint if kind == OWN else "",
+        fix=fix,
     )
 
 
 def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
+    # Otherwise, the class would raise a TypeError that does not name the file's field.
     _check_names(f"world (kind {kind})", values, BUILT_IN[kind])
     if "limits" in values:
-        if not isinstance(values["limits"], dict):
+        limits = values["limits"]
+        if not isinstance(limits, dict):
             raise WorldError(
-                field="world.limits", expected="a mapping", received=repr(values["limits"])
+                field="world.limits",
+                expected="a mapping",
+                received=repr(limits),
             )
-        _check_names("world.limits", values["limits"], NpcLimits)
-        values["limits"] = NpcLimits(**values["limits"])
+        _check_names("world.limits", limits, NpcLimits)
+        values["limits"] = NpcLimits(**limits)
     if "wrappers" in values:
-        expected = "no wrappers, because a file cannot contain code"
-        fix = "use pafot.World(..., wrappers=[...]) in the test, or --world module:factory"
         raise WorldError(
             field="world.wrappers",
-            expected=expected,
+            expected="no wrappers, because a file cannot contain code",
             received=f"{values['wrappers']!r:.200}",
-            fix=fix,
+            fix="use pafot.World(..., wrappers=[...]) in the test, or --world module:factory",
         )
     if kind == "gym":
         if "env_id" not in values:
@@ -111,30 +122,33 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
                 'world.env_id: expected an environment id, such as "highway-v0", received none'
             )
         config = values.get("config")
-        path = (
-            config.get("other_vehicles_type", OTHER_VEHICLES)
-            if isinstance(config, dict)
-            else OTHER_VEHICLES
-        )
+        path = OTHER_VEHICLES
+        if isinstance(config, dict):
+            path = config.get("other_vehicles_type", OTHER_VEHICLES)
         if not _may_name(path):
-            fix = (
-                "to use your own vehicle class, first import its module, because a corpus file "
-                "cannot import other code"
+            raise WorldError(
+                field="world.config.other_vehicles_type",
+                expected="a class in highway_env.vehicle",
+                received=repr(path),
+                fix="to use your own vehicle class, first import its module, because a corpus file "
+                "cannot import other code",
             )
-            expected, place = "a class in highway_env.vehicle", "world.config.other_vehicles_type"
-            raise WorldError(field=place, expected=expected, received=repr(path), fix=fix)
     return BUILT_IN[kind](**values)
 
 
 def _may_name(path: Any) -> bool:
     # highway-env imports the class that the file names. So it must be a class of highway-env, or a user's vehicle class
     # that has already been imported, for example by the test.
-    module, _, name = str(path).rpartition(".")
+    if not isinstance(path, str):
+        return False
+    if path.startswith("highway_env.vehicle."):
+        return True
+    # Read from `sys.modules`, because an import would already run the code that the file names.
+    module, _, name = path.rpartition(".")
     found = vars(sys.modules.get(module, object)).get(name)
-    is_own = isinstance(found, type) and "highway_env.vehicle.kinematics" in [
-        each.__module__ for each in found.__mro__
-    ]
-    return isinstance(path, str) and (path.startswith("highway_env.vehicle.") or is_own)
+    if not isinstance(found, type):
+        return False
+    return any(each.__module__ == "highway_env.vehicle.kinematics" for each in found.__mro__)
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
@@ -142,15 +156,19 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
     known = {field.name for field in fields(cls) if field.compare}
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
-        expected = f"no fields other than {listed(sorted(known))}"
-        raise WorldError(field=place, expected=expected, received=", ".join(unknown))
+        raise WorldError(
+            field=place,
+            expected=f"no fields other than {listed(sorted(known))}",
+            received=", ".join(unknown),
+        )
 
 
 def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
     if set(values) != {"data"}:
-        received = ", ".join(values) or "none"
         raise WorldError(
-            field=f"world (kind {kind})", expected="only the field 'data'", received=received
+            field=f"world (kind {kind})",
+            expected="only the field 'data'",
+            received=", ".join(values) or "none",
         )
     # Imported only here, because the simulators import this module.
     simulator = getattr(import_module(f"pytest_pafot.simulators.{kind}"), SIMULATORS[kind])
@@ -159,12 +177,11 @@ def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
     except WorldError:
         raise
     except Exception as error:
-        expected, fix = (
-            f"data for pafot.{kind}",
-            f"the class raised {type(error).__name__}: {error!s:.200}",
-        )
         raise WorldError(
-            field="world.data", expected=expected, received=safe_repr(values["data"]), fix=fix
+            field="world.data",
+            expected=f"data for pafot.{kind}",
+            received=safe_repr(values["data"]),
+            fix=f"the class raised {type(error).__name__}: {error!s:.200}",
         ) from error
 
 
@@ -173,14 +190,12 @@ def described(world: BaseWorld) -> dict[str, Any]:
     data = world.to_dict()
     if not isinstance(world, SimulatorWorld):
         return data
-    maker = world.maker
-    kind = maker.__module__.rpartition("pytest_pafot.simulators.")[2]
-    own = (
-        {"kind": kind}
-        if SIMULATORS.get(kind) == maker.__name__
-        else {"kind": OWN, "class": maker.__name__}
-    )
-    return {**own, "data": data}
+    # A built-in simulator is recreated from its kind. The code of a user's class is not in the file.
+    name = world.maker.__name__
+    kind = world.maker.__module__.rpartition("pytest_pafot.simulators.")[2]
+    if SIMULATORS.get(kind) == name:
+        return {"kind": kind, "data": data}
+    return {"kind": OWN, "class": name, "data": data}
 
 
 def world_of_file(
@@ -192,6 +207,7 @@ def world_of_file(
         WorldError: as for :func:`from_dict`, or if :func:`limit_durations` cannot shorten the runs of a simulator.
     """
     world = from_dict(limit_durations(data, scenario, own))
+    # `limit_durations` has already limited built-in worlds. Only the simulator knows its own durations.
     if own is None or data.get("kind") in BUILT_IN:
         return world
     for what, asked, most in (
@@ -199,14 +215,10 @@ def world_of_file(
         ("runs", min(world.longest_run, scenario.seconds), own.longest_run),
     ):
         if asked > most + 1e-9:
-            expected, received = (
-                f"{what} of at most {most:g} s, as in the test's world",
-                f"{asked:g} s",
-            )
             raise WorldError(
                 field="world.data",
-                expected=expected,
-                received=received,
+                expected=f"{what} of at most {most:g} s, as in the test's world",
+                received=f"{asked:g} s",
                 fix="increase the limit of the test's world",
             )
     return world
@@ -220,55 +232,58 @@ def limit_durations(
     A file from an untrusted source must not decide how long a session takes. If a run is longer, only its start is
     simulated.
     """
-    limits: dict[str, float] = {}
-    # A decision may take as long as in the test's world.
-    hang_limit, most_seconds = (
-        data.get("hang_limit"),
-        LONGEST_DECISION if own is None else own.hang_limit,
-    )
+    limited = dict(data)
+    most_seconds = LONGEST_DECISION
+    if own is not None:
+        most_seconds = own.hang_limit  # a decision may take as long as in the test's world
+    hang_limit = data.get("hang_limit")
+    # `from_dict` reports a value of another type.
     if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
-        limits["hang_limit"] = most_seconds
-    if own is not None and data.get("kind") in BUILT_IN:
-        # A run may have as many ticks as the longest run in the test's world. A longer run is shortened.
-        config, longest = data.get("config"), _longest(data, own)
-        given = (
-            data.get("duration"),
-            config.get("duration") if isinstance(config, Mapping) else None,
-        )
-        asked = next((each for each in given if isinstance(each, (int, float))), LONGEST_RUN)
-        if min(asked, scenario.seconds) > longest + 1e-9:
-            limits["duration"] = longest
-    return {**data, **limits}
+        limited["hang_limit"] = most_seconds
+    if own is None or data.get("kind") not in BUILT_IN:
+        return limited
+    # A World uses its `duration`, or else the environment's duration, or else the default.
+    asked = LONGEST_RUN
+    config = data.get("config")
+    if isinstance(config, Mapping) and isinstance(config.get("duration"), (int, float)):
+        asked = config["duration"]
+    if isinstance(data.get("duration"), (int, float)):
+        asked = data["duration"]
+    # A run may have as many ticks as the longest run in the test's world. A longer run is shortened.
+    longest = _longest(data, own)
+    if min(asked, scenario.seconds) > longest + 1e-9:
+        limited["duration"] = longest
+    return limited
 
 
 def describe_limits(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
     """Describe how :func:`limit_durations` shortens the run in a file."""
     longest = limit_durations(data, scenario, own).get("duration")
-    return (
-        []
-        if longest == data.get("duration")
-        else differences("world", data, {**data, "duration": longest})
-    )
+    # Also if neither states a duration.
+    if longest == data.get("duration"):
+        return []
+    return differences("world", data, {**data, "duration": longest})
 
 
 def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
     # The duration [s] with as many ticks in the file's world as the longest run has in the test's world.
+    # An environment states its rate in its configuration.
+    rate = data.get("physics_hz")
     config = data.get("config")
-    rate = (
-        config.get("simulation_frequency")
-        if isinstance(config, Mapping)
-        else data.get("physics_hz")
-    )
+    if isinstance(config, Mapping):
+        rate = config.get("simulation_frequency")
     try:
-        # Files contain the requested duration, although runs end earlier on a short road.
-        seconds = float(
-            own.longest_run if isinstance(own, SimulatorWorld) else own.to_dict()["duration"]
-        )
+        seconds = own.longest_run
+        if not isinstance(own, SimulatorWorld):
+            # Files contain the requested duration, although runs end earlier on a short road.
+            seconds = own.to_dict()["duration"]
         own_rate = getattr(own, "physics_hz", None)
     except WorldError:  # every search of this test reports this error
         return math.inf
-    if own_rate is None or not isinstance(rate, int) or not PHYSICS_HZ[0] <= rate <= PHYSICS_HZ[1]:
-        return seconds
+    low, high = PHYSICS_HZ
+    # `from_dict` rejects a file with another rate.
+    if own_rate is None or not isinstance(rate, int) or not low <= rate <= high:
+        return float(seconds)
     return float(seconds * own_rate / rate)
 
 
@@ -285,24 +300,29 @@ def check_named_world(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
     """
     now = described(world)
     if data.get("kind") == OWN and "simulator" not in data.get("data", ()):
-        expected = "a file with a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
-        received = f"{_title(data)} with its own rollout, which is no longer supported"
-        fix = (
-            "derive a pafot.Simulator, search again in a pafot.SimulatorWorld, and delete this file"
+        raise WorldError(
+            field="world",
+            expected="a file with a pafot.SimulatorWorld, a pafot.Highway or a pafot.World",
+            received=f"{_title(data)} with its own rollout, which is no longer supported",
+            fix="derive a pafot.Simulator, search again in a pafot.SimulatorWorld, and delete this file",
         )
-        raise WorldError(field="world", expected=expected, received=received, fix=fix)
+    # Each kind of world has only some of these keys.
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
-    expected = f"{_title(data)}, as in the saved scenario"
     way = "a file cannot contain code, so set the world with @pafot.search(world=...), pafot_world or --world"
-    fix = f"{way}. If only the name of the world has changed, write the new name into the file"
-    raise WorldError(expected=expected, received=_title(now), fix=fix)
+    raise WorldError(
+        expected=f"{_title(data)}, as in the saved scenario",
+        received=_title(now),
+        fix=f"{way}. If only the name of the world has changed, write the new name into the file",
+    )
 
 
 def file_or_named_world(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
     """Return the file's world, or the user's ``world`` if the file's world is defined in code."""
-    same = check_named_world(data, world)
-    return same if is_code(data) else from_dict(data)
+    check_named_world(data, world)
+    if is_code(data):
+        return world
+    return from_dict(data)
 
 
 def changes(data: Mapping[str, Any], world: BaseWorld) -> list[str]:
@@ -321,15 +341,15 @@ def describe_world_change(data: Mapping[str, Any], scenario: Scenario, own: Base
 
 def _title(data: Mapping[str, Any]) -> str:
     kind = data.get("kind")
+    if kind == OWN and "class" in data:
+        return f"a simulator of the class {data['class']}"
     if kind == OWN:
-        return (
-            f"a simulator of the class {data['class']}" if "class" in data else "a user's simulator"
-        )
-    if kind == "gym":
-        wrappers = (
-            f" with {', '.join(data['wrappers']) or 'its registered wrappers'}"
-            if "wrappers" in data
-            else ""
-        )
-        return f"pafot.World({data['env_id']!r}){wrappers}"
-    return "a pafot.Highway" if kind == "highway" else f"a world of the kind {kind}"
+        return "a user's simulator"
+    if kind == "highway":
+        return "a pafot.Highway"
+    if kind != "gym":
+        return f"a world of the kind {kind}"
+    title = f"pafot.World({data['env_id']!r})"
+    if "wrappers" in data:
+        title += f" with {', '.join(data['wrappers']) or 'its registered wrappers'}"
+    return title

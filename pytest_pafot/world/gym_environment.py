@@ -33,6 +33,7 @@ from pytest_pafot.world.driving.vehicles import (
     straight_road,
     traffic_class,
 )
+from pytest_pafot.world.engines.run import ADS_HZ, OTHER_KIND, PHYSICS_HZ, FixedObject, plain_data
 from pytest_pafot.world.guard.hang_guard import (
     UNFIT,
     AdsHang,
@@ -42,14 +43,7 @@ from pytest_pafot.world.guard.hang_guard import (
     patience_with_world,
 )
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.limits import (
-    ADS_HZ,
-    CONNECTED,
-    OTHER_KIND,
-    PHYSICS_HZ,
-    plain_data,
-    whole_within,
-)
+from pytest_pafot.world.limits import whole_within
 from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.stock import (
     AbstractEnv,
@@ -62,6 +56,9 @@ from pytest_pafot.world.stock import (
     observation,
 )
 
+# The environment option that lets highway-env's IDM also look for vehicles in connected lanes. Only egos of its class
+# do so.
+CONNECTED = "neighbour_vehicles_connected_lanes"
 # The options for random traffic, other than `vehicles_count`.
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 # Options that this package replaces while scenarios run: those for traffic, and one that depends on the machine.
@@ -126,6 +123,21 @@ LEAST_NUMBERS = MOST_NUMBERS // 20
 # The attributes through which highway-env accesses the ego. A run replaces this ego.
 WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 
+# The attributes with which highway-env's classes and roads control vehicles.
+OF_HIGHWAY_ENV = (
+    "route",
+    "target_lane_index",
+    "target_speed",
+    "target_speeds",
+    "speed_index",
+    "enable_lane_change",
+    "timer",
+    "collecting_data",
+    "data",
+    "is_yielding",
+    "yield_timer",
+)
+
 # The methods that report, after a step, whether the episode is over.
 ENDS = ("_is_terminated", "_is_truncated")
 # The classes of highway-env that terminate episodes only after a crash, or when the ego leaves a curved road. Both end
@@ -144,7 +156,8 @@ ENDED_ANYWAY = (
 LEFT_OUT = ("_reward", "_rewards", "_info", *ENDS)
 
 # The numbers of compared resets without and with wrappers. Wrappers can be slow, for example if they record videos.
-RESETS, RESETS_IN_WRAPPERS = 10, 4
+RESETS = 10
+RESETS_IN_WRAPPERS = 4
 
 # Attributes of these types are values, not parts of highway-env.
 PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
@@ -208,15 +221,16 @@ class EnvironmentGuard(HangGuard):
 def _interrupted_method(error: AdsHang) -> str:
     # Prefer the user's innermost method, because a wrapper in an endless loop spends most of its time in the
     # environment.
-    found, is_own = "the environment", False
+    found = "the environment"
+    is_own = False
     for frame, _ in traceback.walk_tb(error.__traceback__):
-        env, name = frame.f_locals.get("self"), frame.f_code.co_name
-        is_users = str(frame.f_globals.get("__name__")).partition(".")[0] not in (
-            "gymnasium",
-            "highway_env",
-        )
+        env = frame.f_locals.get("self")
+        name = frame.f_code.co_name
+        library = str(frame.f_globals.get("__name__")).partition(".")[0]
+        is_users = library not in ("gymnasium", "highway_env")
         if isinstance(env, gymnasium.Env) and not name.startswith("<") and (is_users or not is_own):
-            found, is_own = f"{type(env).__name__}.{name}", is_users
+            found = f"{type(env).__name__}.{name}"
+            is_own = is_users
     return found
 
 
@@ -247,10 +261,10 @@ class GymEnvironment:
             with EnvironmentGuard(self.hang_limit) as guard, guard.call():
                 yield
         except WorldHang as error:
-            fix = "correct the environment, or increase the world's hang_limit"
-            expected = "an environment whose methods return in time"
-            raise WorldError(
-                field="env_id", expected=expected, received=f"one in which {error}", fix=fix
+            raise refused_environment(
+                "an environment whose methods return in time",
+                f"one in which {error}",
+                "correct the environment, or increase the world's hang_limit",
             ) from error
 
     def make(self, *, has_traffic: bool = False) -> Any:
@@ -259,13 +273,17 @@ class GymEnvironment:
         If a user's environment cannot be reset without other vehicles, it keeps them at first. NPCs then replace them.
         """
         # First reject an environment that would take minutes to create.
-        creator, given = _creator(self.env_id), self.config or {}
+        creator = _creator(self.env_id)
+        given = self.config or {}
+        # A function can return an environment of any class, which is only known after the call below.
         if isinstance(creator, type):
             _check_base(self.env_id, creator)
         _check_sizes(given, creator)
+        # In episodes with its own traffic, an environment keeps the constants that it changes, as in its __init__.
+        kept: Any = nullcontext({})
+        if not has_traffic:
+            kept = vehicle_classes_kept()
         try:
-            # In episodes with its own traffic, an environment keeps the constants that it changes, as in its __init__.
-            kept: Any = nullcontext({}) if has_traffic else vehicle_classes_kept()
             with kept as changed, self.in_time():
                 env = _make_environment(
                     self.env_id, creator, self._given_config, has_traffic=has_traffic
@@ -275,9 +293,8 @@ class GymEnvironment:
             raise
         except Exception as error:
             # highway-env's own environments need no traffic. With too much traffic, a second attempt would take long.
-            is_stock = str(getattr(creator, "__module__", "")).startswith("highway_env.")
             is_much = any(_exceeded("vehicles_count", given.get(name)) for name in REPLACED)
-            if not (has_traffic or is_stock or is_much):
+            if not (has_traffic or of_highway_env(creator) or is_much):
                 return self.make(has_traffic=True)
             field, received = "config", f"{self.config!r:.200}"
             expected = f"a configuration that the environment {self.env_id} accepts"
@@ -286,18 +303,22 @@ class GymEnvironment:
                 expected = (
                     "an environment that can be created with gymnasium.make and reset with seed 0"
                 )
-            fix = f"the environment raised {type(error).__name__}: {error!s:.200}"
-            raise WorldError(field=field, expected=expected, received=received, fix=fix) from error
+            raise WorldError(
+                field=field,
+                expected=expected,
+                received=received,
+                fix=f"the environment raised {type(error).__name__}: {error!s:.200}",
+            ) from error
+        # Now the class is known, and the default configuration with it.
         _check_base(self.env_id, type(env.unwrapped))
         _check_config(self.env_id, given, env.unwrapped)
         # Without these wrappers, the policy might not receive the observations that it was made for.
         added = wrapper_names(env)
         if self.wrappers is None and added:
-            raise WorldError(
-                field="env_id",
-                expected="an environment that is registered without wrappers",
-                received=f"{self.env_id!r}, which is registered with these wrappers: {', '.join(added)}",
-                fix=f"to use these wrappers, write pafot.World({self.env_id!r}, wrappers=[]), with any additional "
+            raise refused_environment(
+                "an environment that is registered without wrappers",
+                f"{self.env_id!r}, which is registered with these wrappers: {', '.join(added)}",
+                f"to use these wrappers, write pafot.World({self.env_id!r}, wrappers=[]), with any additional "
                 "wrappers in the list",
             )
         with self.in_time():
@@ -312,49 +333,56 @@ class GymEnvironment:
     def outer(self) -> Any:
         """The environment in its wrappers, after a reset in which the wrappers may have changed the configuration."""
         outer = self.make()
-        if wrapper_names(outer):
+        has_wrappers = bool(wrapper_names(outer))
+        if has_wrappers:
             env = outer.unwrapped
+            # A wrapper that sets the configuration in its reset must not bring the traffic back.
             without_traffic = {name: env.config[name] for name in REPLACED if name in env.config}
             with vehicle_classes_kept():
-                try:
-                    with self.in_time():
-                        outer.reset(seed=0)
-                except WorldError:
-                    raise
-                except UNFIT as error:  # in a run, this is a failure of the first decision
-                    let_through(error)
+                self._can_reset(outer)
                 env.config |= without_traffic
                 env.reset(seed=0)
-        if wrapper_names(outer) or not type(outer.unwrapped).__module__.startswith("highway_env."):
+        if has_wrappers or not of_highway_env(type(outer.unwrapped)):
             self._check_resets()
         return outer
+
+    def _can_reset(self, outer: Any) -> bool:
+        """Reset an environment in its wrappers, and return False if it raises an error."""
+        try:
+            with self.in_time():
+                outer.reset(seed=0)
+        except WorldError:
+            raise
+        except UNFIT as error:  # in a run, this is a failure of the first decision
+            let_through(error)
+            return False
+        return True
 
     def _check_resets(self) -> None:
         # If resets with the same seed differ, for example because they count episodes, runs cannot be repeated.
         outer = self.make()
-        names, resets = wrapper_names(outer), RESETS_IN_WRAPPERS if wrapper_names(outer) else RESETS
-        first = {} if names else _beginning(outer)  # the wrappers have not been reset yet
+        names = wrapper_names(outer)
+        resets = RESETS_IN_WRAPPERS
+        first: dict[str, str] = {}  # the wrappers have not been reset yet
+        if not names:
+            resets = RESETS
+            first = _beginning(outer)
         for _ in range(resets):
             with vehicle_classes_kept():
-                try:
-                    with self.in_time():
-                        outer.reset(seed=0)
-                except WorldError:
-                    raise
-                except UNFIT as error:  # in a run, this is a failure of the first decision
-                    let_through(error)
+                if not self._can_reset(outer):
                     return
             found = _beginning(outer)
             first = first or found
-            changed = [name for name in {**first, **found} if first.get(name) != found.get(name)]
-            if changed:
+            for name in {**first, **found}:
+                if first.get(name) == found.get(name):
+                    continue
+                was = first.get(name, "none")[:60]
+                now = found.get(name, "none")[:60]
                 who = " in ".join([type(outer.unwrapped).__name__, *names])
-                was, now = (each.get(changed[0], "none")[:60] for each in (first, found))
-                raise WorldError(
-                    field="env_id",
-                    expected="an environment whose resets depend only on the seed, so that runs can be repeated",
-                    received=f"{who}, where {changed[0]} is {was} after the first reset and {now} after a later one",
-                    fix="does it count its resets, or draw random numbers without using the seed? If the difference "
+                raise refused_environment(
+                    "an environment whose resets depend only on the seed, so that runs can be repeated",
+                    f"{who}, where {name} is {was} after the first reset and {now} after a later one",
+                    "does it count its resets, or draw random numbers without using the seed? If the difference "
                     "is intended, make it an option in config= and set a value in each test",
                 )
 
@@ -368,12 +396,17 @@ class GymEnvironment:
         """The environment without wrappers or traffic. Runs do not change it."""
         return self.outer.unwrapped
 
+    @property
+    def is_stock(self) -> bool:
+        """True if the environment's class is one of highway-env's."""
+        return of_highway_env(type(self.unwrapped))
+
     @cached_property
     def straight_road(self) -> StraightRoad | None:
         return straight_road(self.unwrapped.road.network)
 
     @cached_property
-    def obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
+    def obstacles(self) -> tuple[FixedObject, ...]:
         """The x [m], y [m], heading [rad], length [m] and width [m] of each solid object on the road."""
         return obstacles_of(self.unwrapped)
 
@@ -388,10 +421,10 @@ class GymEnvironment:
         Raises:
             WorldError: if the NPCs cannot have this class.
         """
-        given = self.unwrapped.config.get(
-            "other_vehicles_type", "highway_env.vehicle.behavior.IDMVehicle"
-        )
+        default = "highway_env.vehicle.behavior.IDMVehicle"
+        given = self.unwrapped.config.get("other_vehicles_type", default)
         road = self.road(np.random.default_rng(0))
+        # The class is tried on a road with the ego, as in a run.
         road.vehicles = [self.unwrapped.vehicle]
         try:
             with vehicle_classes_kept(), self.in_time():
@@ -405,17 +438,21 @@ class GymEnvironment:
                 expected="a highway-env vehicle class that can be called with (road, position, heading, speed), and "
                 "whose vehicles a run can move, because the NPCs are objects of this class",
                 received=f"{given!r:.200} ({type(error).__name__}: {error!s:.200})",
-                fix="correct the class, or set the option to a different class, such as "
-                "'highway_env.vehicle.behavior.IDMVehicle'",
+                fix=f"correct the class, or set the option to a different class, such as {default!r}",
             ) from error
 
     def road(self, np_random: Any = None) -> Any:
         """Return a new road without vehicles or objects, for one run."""
-        own, connected = self.unwrapped.road, self.unwrapped.config.get(CONNECTED, False)
-        made = (EgosRegulatedRoad if type(own) is RegulatedRoad else Road)(
-            self.network, np_random=np_random, neighbour_vehicles_connected_lanes=connected
+        own = self.unwrapped.road
+        road_class: Any = Road
+        if type(own) is RegulatedRoad:
+            road_class = EgosRegulatedRoad
+        made = road_class(
+            self.network,
+            np_random=np_random,
+            neighbour_vehicles_connected_lanes=self.unwrapped.config.get(CONNECTED, False),
         )
-        if isinstance(made, EgosRegulatedRoad):
+        if road_class is EgosRegulatedRoad:
             # a reset has done some steps, and the count decides when rules are enforced next
             made.steps = own.steps
         return made
@@ -429,17 +466,13 @@ class GymEnvironment:
         return compiled_network(self.unwrapped.road.network)
 
     @property
-    def config_of_wrappers(self) -> dict[str, Any]:
-        """The configuration after a reset of the wrapped environment, or an empty dict if there are no wrappers."""
-        return dict(self.unwrapped.config) if wrapper_names(self.outer) else {}
-
-    @property
     def route(self) -> tuple[Any, ...] | None:
         """The ego's planned route, or None if it has none or the road is straight."""
-        route = (
-            getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
-        )
-        return None if route is None else tuple(route)
+        # On a straight road, runs need none.
+        route = getattr(self.unwrapped.vehicle, "route", None)
+        if route is None or self.straight_road is not None:
+            return None
+        return tuple(route)
 
     def steps_itself(self, *, drives_itself: bool) -> bool:
         """Return whether runs must call the environment's ``step``, because user code overrides it or ``road.step``."""
@@ -451,8 +484,14 @@ class GymEnvironment:
     @property
     def has_own_step(self) -> bool:
         cls: Any = type(self.unwrapped)
+        # The `step` of these two classes only adds vehicles or information, which runs do not need.
         is_stock = cls.step in (AbstractEnv.step, IntersectionEnv.step, ExitEnv.step)
-        return not (is_stock and cls._simulate is AbstractEnv._simulate)
+        return not is_stock or cls._simulate is not AbstractEnv._simulate
+
+    @property
+    def may_repeat_actions(self) -> bool:
+        # A user's `step` may simulate an action several times.
+        return self.has_own_step and not of_highway_env(type(self.unwrapped).step)
 
     @cached_property
     def own_ends(self) -> tuple[str, ...]:
@@ -461,15 +500,17 @@ class GymEnvironment:
         Regardless of them, a run ends at a contact, at the end of its duration or, on a curved road, when the ego
         leaves the road.
         """
-        found, cls, config = [], type(self.unwrapped), self.unwrapped.config
+        found = []
+        cls = type(self.unwrapped)
+        # A HighwayEnv also ends when the ego leaves the straight road, but only with this option.
+        ended_anyway: tuple[str, ...] = ENDED_ANYWAY
+        if not self.unwrapped.config.get("offroad_terminal"):
+            ended_anyway = (*ENDED_ANYWAY, "HighwayEnv")
         for name in ENDS:
             method = getattr(cls, name)  # in a user's class, it need not be a function
             owner = getattr(method, "__qualname__", "").partition(".")[0]
-            by_crash = owner in ENDED_ANYWAY or (
-                owner == "HighwayEnv" and not config.get("offroad_terminal")
-            )
-            is_stock = str(getattr(method, "__module__", "")).startswith("highway_env.")
-            if not is_stock or (name == "_is_terminated" and not by_crash):
+            is_early = name == "_is_terminated" and owner not in ended_anyway
+            if is_early or not of_highway_env(method):
                 found.append(name)
         return tuple(found)
 
@@ -480,9 +521,8 @@ class GymEnvironment:
         A ``TimeLimit`` around other wrappers is ignored here, because these wrappers may repeat steps.
         """
         inner = itertools.takewhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
-        return min(
-            (each._max_episode_steps for each in inner if isinstance(each, TimeLimit)), default=None
-        )
+        limits = [each._max_episode_steps for each in inner if isinstance(each, TimeLimit)]
+        return min(limits, default=None)
 
     @property
     def has_own_ends(self) -> bool:
@@ -491,12 +531,8 @@ class GymEnvironment:
         This includes all environments with a user's ``step``, because the return value of ``step`` is not known in
         advance.
         """
-        return (
-            bool(self.own_ends)
-            or self.step_limit is not None
-            or self.has_own_step
-            or self.sets_ends
-        )
+        has_limit = self.step_limit is not None
+        return bool(self.own_ends) or has_limit or self.has_own_step or self.sets_ends
 
     @cached_property
     def ends_in_steps(self) -> bool:
@@ -521,25 +557,24 @@ class GymEnvironment:
 
         Each run gets copies of the values, except for objects of libraries and values that cannot be copied.
         """
-        env, found = self.unwrapped, []
-        homes = {each.__module__.partition(".")[0] for each in type(env).__mro__} - {
-            "highway_env",
-            "gymnasium",
-        }
+        env = self.unwrapped
+        found = []
+        known = {id(each): each for each in (env, env.road, env.vehicle)}
+        # The packages of the user's classes. Objects of other packages are assumed not to change.
+        homes = {each.__module__.partition(".")[0] for each in type(env).__mro__}
+        homes -= {"highway_env", "gymnasium", "builtins"}
         for name, value in vars(env).items():
             home = type(value).__module__.partition(".")[0]
-            is_own = isinstance(value, MUTABLE) or (home in homes and home != "builtins")
-            if not is_own or name in (*WITH_EGO, "config"):
-                continue
-            with suppress(Exception):
-                copy.deepcopy(
-                    value, {id(env): env, id(env.road): env.road, id(env.vehicle): env.vehicle}
-                )
-                found.append(name)
+            is_own = isinstance(value, MUTABLE) or home in homes
+            if is_own and name not in (*WITH_EGO, "config"):
+                with suppress(Exception):
+                    copy.deepcopy(value, {**known})
+                    found.append(name)
         return tuple(found)
 
     def episodes_itself(self, *, drives_itself: bool) -> bool:
         """Return whether each run must be an episode of the environment, because of its ``step`` or ``reset``."""
+        # For an ego that drives itself, the environment's own `reset` does not matter.
         resets_itself = type(self.unwrapped).reset is not AbstractEnv.reset
         is_its_own = resets_itself or self.sets_ends
         return self.steps_itself(drives_itself=drives_itself) or (is_its_own and not drives_itself)
@@ -552,25 +587,27 @@ class GymEnvironment:
         """
         found = dict[str, tuple[str, ...]]()
         cls = type(self.unwrapped)
-        own = [
-            name
-            for name in LEFT_OUT
-            if not str(getattr(cls, name).__module__).startswith("highway_env.")
-        ]
+        # highway-env's own methods change nothing that a run reads.
+        own = [name for name in LEFT_OUT if not of_highway_env(getattr(cls, name))]
         if not own:
             return found
         env = self.make().unwrapped
-        seen, action = env.observation_type.observe(), env.action_space.sample()
+        seen = env.observation_type.observe()
+        action = env.action_space.sample()
         for name in own:
-            given = {"_info": (seen, action), "_is_terminated": (), "_is_truncated": ()}.get(
-                name, (action,)
-            )
+            given: tuple[Any, ...] = (action,)
+            if name == "_info":
+                given = (seen, action)
+            elif name in ENDS:
+                given = ()
             before = _plain_state(env)
             with suppress(Exception), self.in_time():  # an episode would report the error
                 getattr(env, name)(*given)
             after = _plain_state(env)
             changed = [key for key in after if after[key] != before.get(key)]
-            if changed := [*changed, *(key for key in _assigned(cls, name) if key not in changed)]:
+            # This call may not have reached every assignment.
+            changed += [key for key in _assigned(cls, name) if key not in changed]
+            if changed:
                 found[name] = tuple(changed)
         return found
 
@@ -581,11 +618,10 @@ class GymEnvironment:
             WorldError: if the run's ego does not replace that ego everywhere.
         """
         if self._keeper:
-            raise WorldError(
-                field="env_id",
-                expected="an environment that accesses its ego only through self.vehicle",
-                received=f"{type(self.unwrapped).__name__}, whose `{self._keeper}` still has the ego of the last reset",
-                fix="read self.vehicle each time, because every run has a new ego",
+            raise refused_environment(
+                "an environment that accesses its ego only through self.vehicle",
+                f"{type(self.unwrapped).__name__}, whose `{self._keeper}` still has the ego of the last reset",
+                "read self.vehicle each time, because every run has a new ego",
             )
 
     @cached_property
@@ -594,16 +630,15 @@ class GymEnvironment:
         # attributes of the environment itself.
         env = self.unwrapped
         for name, value in vars(env).items():
-            parts = (
-                value
-                if isinstance(value, (list, tuple, set))
-                else getattr(value, "__dict__", value)
-            )
-            parts = parts.values() if isinstance(parts, Mapping) else parts
-            is_looked_at = (
-                name not in WITH_EGO and value is not env.vehicle and isinstance(parts, Collection)
-            )
-            if is_looked_at and any(each is env.vehicle for each in parts):
+            if name in WITH_EGO or value is env.vehicle:
+                continue
+            # The items of a collection, or the attributes of a helper object.
+            parts = value
+            if not isinstance(value, (list, tuple, set)):
+                parts = getattr(value, "__dict__", value)
+            if isinstance(parts, Mapping):
+                parts = parts.values()
+            if isinstance(parts, Collection) and any(each is env.vehicle for each in parts):
                 return str(name)
         return ""
 
@@ -618,33 +653,34 @@ class GymEnvironment:
             simulates: whether the policy receives the environment, with vehicles of the traffic class.
             ends: whether the environment can end runs.
         """
-        given, is_straight = self.config or {}, self.straight_road is not None
-        is_read = ends and not type(self.unwrapped).__module__.startswith("highway_env.")
+        given = self.config or {}
+        is_straight = self.straight_road is not None
+        # Both decide without the environment.
+        has_own_policy = is_planner or drives_itself
+        traffic = set(TRAFFIC_OPTIONS)
+        if not (drives_itself or simulates):
+            traffic.add(CONNECTED)
+        if not has_own_policy or (ends and not self.is_stock):
+            traffic.remove("other_vehicles_type")  # NPCs have this class in the environment's code
         found: dict[str, list[str]] = {}
-        for name in given:
-            told = ""
-            if name == "other_vehicles_type" and (is_read or not (is_planner or drives_itself)):
-                continue  # NPCs have this class in the environment's code
-            if name in TRAFFIC_OPTIONS or (name == CONNECTED and not (drives_itself or simulates)):
+        for name, value in given.items():
+            if name in traffic:
                 told = "NPCs replace the environment's own traffic"
-            elif name in POLICY_OPTIONS and (is_planner or drives_itself):
+            elif name in POLICY_OPTIONS and has_own_policy:
                 told = "the ego decides without the environment's observations and actions"
             elif name == "ego_spacing" and is_straight:
                 told = "the world's headway= sets the gaps at the start"
-            elif name == "initial_lane_id" and is_straight and given[name] is not None:
-                told = f"write ego_lane={given[name]!r:.20}"
-            elif name == "offroad_terminal" and is_straight and given[name] and not ends:
+            elif name == "initial_lane_id" and is_straight and value is not None:
+                told = f"write ego_lane={value!r:.20}"
+            elif name == "offroad_terminal" and is_straight and value and not ends:
                 told = (
                     "runs continue after the ego leaves a straight road, which run.off_road reports"
                 )
-            elif (
-                name in ("offroad_terminal", "terminate_off_road")
-                and not is_straight
-                and not given[name]
-            ):
+            elif name in ("offroad_terminal", "terminate_off_road") and not (is_straight or value):
                 told = "runs on this road end when the ego leaves it"
-            if told:
-                found.setdefault(told, []).append(name)
+            else:
+                continue
+            found.setdefault(told, []).append(name)
         return found
 
     @property
@@ -652,11 +688,11 @@ class GymEnvironment:
         """All JSON-compatible options of the environment, with the original values of the traffic options."""
         env = self.unwrapped
         values = {**env.default_config(), **self._given_config}
-        values |= {
-            name: env.config[name] for name in values if name in env.config and name not in REPLACED
-        }
         config: dict[str, Any] = {}
         for name, value in values.items():
+            if name in env.config and name not in REPLACED:
+                value = env.config[name]  # noqa: PLW2901  (what the environment or a wrapper has set)
+            # Objects such as classes cannot be saved. A replay has the environment's own values of them.
             with suppress(WorldError):
                 config[name] = plain_data(f"config.{name}", value)
         return config
@@ -664,76 +700,107 @@ class GymEnvironment:
     @property
     def _given_config(self) -> dict[str, Any]:
         # As in gymnasium, the user's configuration replaces the registered one.
+        if self.config is not None:
+            return self.config
         registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
-        return registered if self.config is None else self.config
+        return registered
 
 
 def _plain_state(env: Any) -> dict[str, str]:
-    owners = (("", env), ("vehicle.", env.vehicle))
-    return {
-        f"{owner}{name}": repr(value)
-        for owner, each in owners
-        for name, value in vars(each).items()
-        if isinstance(value, PLAIN)
-    }
+    values = {**vars(env)}
+    values |= {f"vehicle.{name}": value for name, value in vars(env.vehicle).items()}
+    return {name: repr(value) for name, value in values.items() if isinstance(value, PLAIN)}
 
 
 def _beginning(outer: Any) -> dict[str, str]:
     # The values that a run reads from an environment after a reset, as strings by name.
     env = outer.unwrapped
-    replaced = (*TRAFFIC_OPTIONS, *REPLACED)
-    found = {
-        f"config[{name!r}]": repr(value)
-        for name, value in env.config.items()
-        if name not in replaced
-    }
+    found = {}
+    for name, value in env.config.items():
+        if name not in (*TRAFFIC_OPTIONS, *REPLACED):
+            found[f"config[{name!r}]"] = repr(value)
     for index, lane in env.road.network.lanes_dict().items():
+        # Three points are enough to notice a changed lane.
         points = [lane.position(share * lane.length, 0).tolist() for share in (0.0, 0.5, 1.0)]
         found[f"lane {index}"] = repr((points, lane.width_at(0), lane.speed_limit))
     found["road.objects"] = repr(obstacles_of(env))
-    if (ego := env.vehicle) is not None:
-        place = (round(float(each), 6) for each in (*ego.position, ego.heading, ego.speed))
-        found["vehicle"] = f"{type(ego).__name__} at {', '.join(map(str, place))}"
+    ego = env.vehicle
+    if ego is not None:
+        state = (*ego.position, ego.heading, ego.speed)
+        place = ", ".join(str(round(float(each), 6)) for each in state)
+        found["vehicle"] = f"{type(ego).__name__} at {place}"
         found["vehicle.target_speeds"] = repr(getattr(ego, "target_speeds", None))
-    return found | {
-        name: repr(getattr(outer, name)) for name in ("observation_space", "action_space")
-    }
+    for name in ("observation_space", "action_space"):
+        found[name] = repr(getattr(outer, name))
+    return found
 
 
 def _assigned(cls: Any, name: str) -> list[str]:
     # The attributes that a method assigns, directly or through other methods of its object; none without source code.
-    found, names = dict[str, None](), [name]
+    found = dict[str, None]()
+    names = [name]
     for called in names:
-        functions = [vars(each).get(called) for each in cls.__mro__]
-        for function in functions:
-            if not isinstance(function, FunctionType) or str(function.__module__).startswith(
-                "highway_env."
-            ):
+        for base in cls.__mro__:
+            function = vars(base).get(called)
+            if not isinstance(function, FunctionType) or of_highway_env(function):
                 continue
             with suppress(OSError, SyntaxError):
-                for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(function)))):
-                    place = node.value if isinstance(node, ast.Subscript) else node
-                    if isinstance(place, ast.Attribute) and isinstance(
-                        getattr(node, "ctx", None), ast.Store
-                    ):
+                source = textwrap.dedent(inspect.getsource(function))
+                for node in ast.walk(ast.parse(source)):
+                    place = node
+                    if isinstance(node, ast.Subscript):
+                        place = node.value  # an assignment to an item changes the attribute
+                    is_stored = isinstance(getattr(node, "ctx", None), ast.Store)
+                    if is_stored and isinstance(place, ast.Attribute):
                         found[ast.unparse(node).removeprefix("self.")] = None
-                    method = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
-                    if (
-                        method.startswith("self.")
-                        and (own := method.removeprefix("self.")) not in names
-                    ):
-                        names.append(own)
+                    if isinstance(node, ast.Call):
+                        method = ast.unparse(node.func)
+                        own = method.removeprefix("self.")
+                        if own != method and own not in names:
+                            names.append(own)
     return list(found)
 
 
-def obstacles_of(env: Any) -> tuple[tuple[float, float, float, float, float], ...]:
+def put_ego(env: Any, ego: Any) -> None:
+    """Make ``ego`` the only vehicle in an environment, instead of the ego that a reset has created.
+
+    ``ego`` gets the attributes that the environment has added to its own ego, such as a goal.
+    """
+    own = env.vehicle
+    for name, value in vars(own).items():
+        if name not in OF_HIGHWAY_ENV and not hasattr(ego, name):
+            setattr(ego, name, value)
+    for name in [name for name, value in vars(env).items() if value is own]:
+        setattr(env, name, ego)
+    env.road.vehicles = [ego]
+    env.controlled_vehicles = [ego]
+    env.define_spaces()
+
+
+def obstacles_of(env: Any) -> tuple[FixedObject, ...]:
     """Return the x [m], y [m], heading [rad], length [m] and width [m] of each solid object on a road."""
     found = []
     for each in env.road.objects:
         if each.solid:
-            x, y = map(float, each.position)
-            found.append((x, y, float(each.heading), float(each.LENGTH), float(each.WIDTH)))
+            place = (*each.position, each.heading, each.LENGTH, each.WIDTH)
+            x, y, heading, length, width = map(float, place)
+            found.append((x, y, heading, length, width))
     return tuple(found)
+
+
+def of_highway_env(definition: Any) -> bool:
+    """Return whether a class or function is defined in highway-env."""
+    return str(getattr(definition, "__module__", "")).startswith("highway_env.")
+
+
+def refused_environment(expected: str, received: str, fix: str) -> WorldError:
+    """Return the error to raise for an environment in which scenarios cannot run."""
+    return WorldError(
+        field="env_id",
+        expected=expected,
+        received=received,
+        fix=fix,
+    )
 
 
 def has_own_act(road: Any) -> bool:
@@ -761,28 +828,31 @@ def vehicle_classes_kept() -> Iterator[dict[Any, dict[str, Any]]]:
 
     After the block, the yielded mapping contains the changed constants of each class.
     """
-    classes, queue = set(), [Vehicle]
-    while queue:
-        classes.add(queue[-1])
-        queue.extend(queue.pop().__subclasses__())
-    before = {
-        cls: {name: value for name, value in vars(cls).items() if name.isupper()} for cls in classes
-    }
+    before: dict[Any, dict[str, Any]] = {}
+    queue: list[Any] = [Vehicle]
+    # A class with several bases is found more than once.
+    for cls in queue:
+        if cls not in before:
+            before[cls] = _constants(cls)
+            queue += cls.__subclasses__()
     changed = dict[Any, dict[str, Any]]()
     try:
         yield changed
     finally:
         for cls, constants in before.items():
-            now = {name: value for name, value in vars(cls).items() if name.isupper()}
-            if own := {
-                name: value for name, value in now.items() if value is not constants.get(name)
-            }:
+            now = _constants(cls)
+            own = {name: value for name, value in now.items() if value is not constants.get(name)}
+            if own:
                 changed[cls] = own
             for name in now.keys() - constants:
                 delattr(cls, name)
             for name, value in constants.items():
                 if vars(cls)[name] is not value:
                     setattr(cls, name, value)
+
+
+def _constants(cls: Any) -> dict[str, Any]:
+    return {name: value for name, value in vars(cls).items() if name.isupper()}
 
 
 def _wrap(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
@@ -794,6 +864,7 @@ def _wrap(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
         except Exception as error:
             received = f"{wrapper!r:.200}, which raised {type(error).__name__}: {error}"
             raise WorldError(f"{expected}, received {received}") from error
+        # A wrapper may also have created an environment of its own, without the configuration.
         if not isinstance(outer, gymnasium.Env) or outer.unwrapped is not env.unwrapped:
             raise WorldError(
                 f"{expected}, received {wrapper!r:.200}, which returned {outer!r:.200}"
@@ -805,52 +876,57 @@ def _creator(env_id: str) -> Any:
     # Returns the class of a registered environment, or the function that makes it.
     if env_id not in gymnasium.registry:
         known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
-        entries = ((name, spec.entry_point) for name, spec in gymnasium.registry.items())
-        homes = (
-            (name, entry if isinstance(entry, str) else entry.__module__) for name, entry in entries
-        )
-        # gymnasium's own environments would be rejected.
-        near = difflib.get_close_matches(
-            env_id, [name for name, home in homes if not home.startswith("gymnasium.")], n=1
-        )
-        meant = f"did you mean {near[0]!r}? " if near else ""
-        fix = (
+        accepted = []
+        for name, spec in gymnasium.registry.items():
+            home = spec.entry_point
+            if not isinstance(home, str):
+                home = home.__module__
+            if not home.startswith("gymnasium."):  # they would be rejected
+                accepted.append(name)
+        meant = ""
+        for near in difflib.get_close_matches(env_id, accepted, n=1):
+            meant = f"did you mean {near!r}? "
+        raise refused_environment(
+            "a registered environment",
+            repr(env_id),
             f"{meant}highway-env's straight roads are in {' and '.join(known)}. To use your own environment, first "
-            f"import the module that registers it, as `--world module:id` does, or write {OTHER_KIND}"
-        )
-        raise WorldError(
-            field="env_id", expected="a registered environment", received=repr(env_id), fix=fix
+            f"import the module that registers it, as `--world module:id` does, or write {OTHER_KIND}",
         )
     entry_point = gymnasium.registry[env_id].entry_point
-    return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
+    if isinstance(entry_point, str):
+        return load_env_creator(entry_point)
+    return entry_point
 
 
 def _check_base(env_id: str, cls: type[Any]) -> None:
     if not issubclass(cls, AbstractEnv):
-        expected = "an environment derived from highway-env's AbstractEnv"
-        raise WorldError(
-            field="env_id",
-            expected=expected,
-            received=f"{env_id!r} ({cls.__name__})",
-            fix=f"write {OTHER_KIND}",
+        raise refused_environment(
+            "an environment derived from highway-env's AbstractEnv",
+            f"{env_id!r} ({cls.__name__})",
+            f"write {OTHER_KIND}",
         )
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
     """Reject values of known options with which highway-env would compute for minutes."""
+    # The package sets these options itself, so their values do not matter.
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
             whole_within(f"config.{name}", given[name], *bounds)
-    if not str(getattr(creator, "__module__", "")).startswith("highway_env."):
-        given = {
-            name: given[name] for name in ("observation", "action", "scaling") if name in given
-        }
+    # In a user's environment, an option such as `length` can have another meaning.
+    if not of_highway_env(creator):
+        known = ("observation", "action", "scaling")
+        given = {name: given[name] for name in known if name in given}
     _check_size("config", given)
-    if (numbers := _numbers(given.get("observation"), config)) > MOST_NUMBERS:
-        expected, received = f"at most {MOST_NUMBERS:,} numbers", f"about {numbers:,.0f}"
-        fix = "use fewer features, parts or images, or larger cells"
-        raise WorldError(field="config.observation", expected=expected, received=received, fix=fix)
+    numbers = _numbers(given.get("observation"), config)
+    if numbers > MOST_NUMBERS:
+        raise WorldError(
+            field="config.observation",
+            expected=f"at most {MOST_NUMBERS:,} numbers",
+            received=f"about {numbers:,.0f}",
+            fix="use fewer features, parts or images, or larger cells",
+        )
 
 
 def _check_size(place: str, config: Any) -> None:
@@ -859,25 +935,32 @@ def _check_size(place: str, config: Any) -> None:
             _check_size(f"{place}[{index}]", inner)
     if not isinstance(config, Mapping):
         return
-    cells = _cells(config) if config.get("type") == "OccupancyGrid" else 0.0
-    if not cells <= MOST_CELLS:
-        received = "infinitely many cells" if cells == math.inf else f"{cells:,.0f} cells"
-        raise WorldError(
-            field=f"{place}.grid_step", expected=f"at most {MOST_CELLS:,} cells", received=received
-        )
-    for name, value in config.items():
-        if limit := _exceeded(name, value):
-            expected, received = (
-                f"{limit}, so that the environment can be created within seconds",
-                f"{value!r:.100}",
+    if config.get("type") == "OccupancyGrid":
+        cells = _cells(config)
+        # `not <=` also rejects NaN.
+        if not cells <= MOST_CELLS:
+            received = f"{cells:,.0f} cells"
+            if cells == math.inf:
+                received = "infinitely many cells"
+            raise WorldError(
+                field=f"{place}.grid_step",
+                expected=f"at most {MOST_CELLS:,} cells",
+                received=received,
             )
-            raise WorldError(field=f"{place}.{name}", expected=expected, received=received)
+    for name, value in config.items():
+        limit = _exceeded(name, value)
+        if limit:
+            raise WorldError(
+                field=f"{place}.{name}",
+                expected=f"{limit}, so that the environment can be created within seconds",
+                received=f"{value!r:.100}",
+            )
         _check_size(f"{place}.{name}", value)
 
 
 def _exceeded(name: str, value: Any) -> str:
     """Describe the limit that an option's value, or an item of its list, exceeds, or return an empty string."""
-    entries = value if isinstance(value, (list, tuple)) else [value]
+    entries = _listed(value)
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
         return f"at most {LONGEST[name]} entries"
@@ -886,22 +969,34 @@ def _exceeded(name: str, value: Any) -> str:
         return "one number for each colour"
     if any(each > LARGEST.get(name, math.inf) for each in numbers):
         return f"at most {LARGEST[name]:g}"
-    return (
-        f"at least {SMALLEST[name]:g}"
-        if any(0 < each < SMALLEST.get(name, 0) for each in numbers)
-        else ""
-    )
+    if any(0 < each < SMALLEST.get(name, 0) for each in numbers):
+        return f"at least {SMALLEST[name]:g}"
+    return ""
+
+
+def _listed(value: Any) -> Sequence[Any]:
+    if isinstance(value, (list, tuple)):
+        return value
+    return [value]
 
 
 def _length(value: Any, default: int) -> int:
-    return len(value) if isinstance(value, (list, tuple, str, Mapping)) else default
+    if isinstance(value, (list, tuple, str, Mapping)):
+        return len(value)
+    return default
 
 
 def _cells(grid: Mapping[str, Any]) -> float:
-    size, step = grid.get("grid_size"), grid.get("grid_step")
+    size = grid.get("grid_size")
+    step = grid.get("grid_step")
+    # highway-env's defaults
+    if size is None:
+        size = ((-27.5, 27.5), (-27.5, 27.5))
+    if step is None:
+        step = (5.0, 5.0)
     try:
-        (low_x, high_x), (low_y, high_y) = ((-27.5, 27.5), (-27.5, 27.5)) if size is None else size
-        x, y = (5.0, 5.0) if step is None else step
+        (low_x, high_x), (low_y, high_y) = size
+        x, y = step
         return float(abs((high_x - low_x) / x) * abs((high_y - low_y) / y))
     except (TypeError, ValueError, ArithmeticError):
         return math.inf
@@ -911,61 +1006,73 @@ def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
     # An estimate that ignores the sizes of observations that other limits restrict.
     if not isinstance(observation, Mapping):
         return 0.0
-
-    def product(*values: Any) -> float:
-        numbers = [
-            each
-            for value in values
-            for each in (value if isinstance(value, (list, tuple)) else [value])
-        ]
-        return math.prod(min(abs(each), 1e9) for each in numbers if isinstance(each, (int, float)))
-
+    inner = 0.0
+    # Observations can consist of others.
     parts = observation.get("observation_configs") or [observation.get("observation_config")]
-    inner = (
-        sum(_numbers(part, config) for part in parts) if isinstance(parts, (list, tuple)) else 0.0
-    )
-    own, kind = 0.0, observation.get("type")
+    if isinstance(parts, (list, tuple)):
+        inner = sum(_numbers(part, config) for part in parts)
+    own = 0.0
+    kind = observation.get("type")
     if kind == "OccupancyGrid":
         own = _cells(observation) * _length(observation.get("features"), 4)
     elif kind == "GrayscaleObservation":
-        own = product(observation.get("observation_shape"), observation.get("stack_size"))
+        own = _product(observation.get("observation_shape"), observation.get("stack_size"))
     elif kind == "TimeToCollision":
+        speeds = None
         action = config.get("action")
-        speeds = action.get("target_speeds") if isinstance(action, Mapping) else None
-        rate, lanes = config.get("policy_frequency", 15), config.get("lanes_count", 4)
-        own = product(observation.get("horizon", 10), rate, lanes, _length(speeds, 3))
+        if isinstance(action, Mapping):
+            speeds = action.get("target_speeds")
+        own = _product(
+            observation.get("horizon", 10),
+            config.get("policy_frequency", 15),
+            config.get("lanes_count", 4),
+            _length(speeds, 3),
+        )
     return inner + max(own, LEAST_NUMBERS)
+
+
+def _product(*values: Any) -> float:
+    numbers = [each for value in values for each in _listed(value)]
+    return math.prod(min(abs(each), 1e9) for each in numbers if isinstance(each, (int, float)))
 
 
 def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
     default = env.default_config()
     unknown = sorted(set(given) - set(default))
     if unknown:
-        fix = _hint(unknown[0], default)
         raise WorldError(
-            field="config", expected=f"options of {env_id}", received=", ".join(unknown), fix=fix
+            field="config",
+            expected=f"options of {env_id}",
+            received=", ".join(unknown),
+            fix=_hint(unknown[0], default),
         )
     for name, value in given.items():
         # it would fail during a run
         if isinstance(value, str) and isinstance(default[name], (int, float)):
-            expected = f"a number such as {default[name]!r}"
-            raise WorldError(field=f"config.{name}", expected=expected, received=repr(value))
-    if (egos := env.config.get("controlled_vehicles", 1)) != 1:
+            raise _refused_option(name, f"a number such as {default[name]!r}", value)
+    egos = env.config.get("controlled_vehicles", 1)
+    if egos != 1:
         fix = "all other vehicles are NPCs"
-        raise WorldError(
-            field="config.controlled_vehicles", expected="1, the ego", received=repr(egos), fix=fix
-        )
-    if env.config.get("manual_control"):
-        expected, fix = "False, because the policy drives", "omit this option"
-        received = repr(env.config["manual_control"])
-        raise WorldError(
-            field="config.manual_control", expected=expected, received=received, fix=fix
-        )
+        raise _refused_option("controlled_vehicles", "1, the ego", egos, fix)
+    manual = env.config.get("manual_control")
+    if manual:
+        expected = "False, because the policy drives"
+        raise _refused_option("manual_control", expected, manual, "omit this option")
     for name, module in (("observation", observation), ("action", action)):
         kind = getattr(env, f"{name}_type", None)
         # options of other classes are not known
         if name in given and type(kind).__module__ == module.__name__:
-            _check_names(f"config.{name}", given[name], {*_options(module), *default.get(name, ())})
+            known = {*_options(module), *default.get(name, ())}
+            _check_names(f"config.{name}", given[name], known)
+
+
+def _refused_option(name: str, expected: str, value: object, fix: str = "") -> WorldError:
+    return WorldError(
+        field=f"config.{name}",
+        expected=expected,
+        received=repr(value),
+        fix=fix,
+    )
 
 
 def _check_names(place: str, given: Any, known: Collection[str]) -> None:
@@ -977,44 +1084,50 @@ def _check_names(place: str, given: Any, known: Collection[str]) -> None:
         return
     for name in given:
         if name not in known:
-            fix = _hint(name, known)
             raise WorldError(
-                field=place, expected="a highway-env option", received=str(name), fix=fix
+                field=place,
+                expected="a highway-env option",
+                received=str(name),
+                fix=_hint(name, known),
             )
         if name in NESTED:
             _check_names(f"{place}.{name}", given[name], known)
 
 
 def _hint(name: str, known: Collection[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"the options are {', '.join(sorted(known))}"
+    for near in difflib.get_close_matches(name, known, n=1):
+        return f"did you mean {near!r}?"
+    return f"the options are {', '.join(sorted(known))}"
 
 
 def _options(module: Any) -> set[str]:
     # Each class also accepts the options of all other classes, and highway-env's configurations rely on that.
-    kinds = [
-        each
-        for each in vars(module).values()
-        if inspect.isclass(each) and each.__module__ == module.__name__
-    ]
-    taken = {name for kind in kinds for name in inspect.signature(kind).parameters}
-    # intersection-v0 has "flatten", which no class uses
-    return (taken - {"env", "kwargs"}) | {"type", "flatten"}
+    options = {"type", "flatten"}  # intersection-v0 has "flatten", which no class uses
+    for each in vars(module).values():
+        # Imported classes, such as those of numpy, are no kinds of observations.
+        if inspect.isclass(each) and each.__module__ == module.__name__:
+            options |= set(inspect.signature(each).parameters)
+    return options - {"env", "kwargs"}
 
 
 def _make_environment(
     env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool
 ) -> Any:
     # Reset with seed 0, because the road and the start may be random.
-    known = creator.default_config() if hasattr(creator, "default_config") else {}
+    known = {}
+    if hasattr(creator, "default_config"):
+        known = creator.default_config()
     config = _as_known(_with_tuples(given), known)
     if not has_traffic:
-        config |= {"vehicles_count": 0, **{name: 0 for name in TRAFFIC if name in known}}
+        config["vehicles_count"] = 0
+        config |= {name: 0 for name in TRAFFIC if name in known}
+    # An environment that cannot be created with a configuration may have a method for it.
     parameters = inspect.signature(creator).parameters
-    takes_config = "config" in parameters or any(
-        each.kind is each.VAR_KEYWORD for each in parameters.values()
-    )
-    keywords: dict[str, Any] = {"config": config} if takes_config else {}
+    takes_any = any(each.kind is each.VAR_KEYWORD for each in parameters.values())
+    takes_config = takes_any or "config" in parameters
+    keywords: dict[str, Any] = {}
+    if takes_config:
+        keywords["config"] = config
     with warnings.catch_warnings():  # a user who chose merge-v0 needs no warning in every run
         warnings.filterwarnings("ignore", message=".*is out of date", category=DeprecationWarning)
         env: Any = gymnasium.make(env_id, disable_env_checker=True, **keywords)
@@ -1028,15 +1141,14 @@ def _make_environment(
 
 def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
     """Replace a value that is equivalent to the environment's default, such as a list for a tuple, with the default."""
-
-    def is_known(name: str, value: Any) -> bool:
+    replaced = {**config}
+    for name in config.keys() & known:
         with suppress(WorldError):
-            return name in known and repr(plain_data(name, value)) == repr(
-                plain_data(name, known[name])
-            )
-        return False
-
-    return {name: known[name] if is_known(name, value) else value for name, value in config.items()}
+            # Compared as data, because a file has lists in place of tuples and arrays.
+            default = plain_data(name, known[name])
+            if repr(plain_data(name, config[name])) == repr(default):
+                replaced[name] = known[name]
+    return replaced
 
 
 def _with_tuples(config: Any) -> Any:

@@ -14,25 +14,28 @@ from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import BaseWorld, EgoVehicle
 from pytest_pafot.world.driving.policy import AdsFactory, Policy
-from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
+from pytest_pafot.world.engines.run import (
+    ADS_HZ,
+    OTHER_KIND,
+    PHYSICS_HZ,
+    OwnEnds,
+    Rules,
+    VehiclesOfRun,
+    check_divides,
+    check_ticks,
+    plain_data,
+)
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
 from pytest_pafot.world.limits import (
-    ADS_HZ,
     CLEARANCE,
     HANG_LIMIT,
     HEADWAY,
-    OTHER_KIND,
-    PHYSICS_HZ,
     TOP_SPEED,
     NpcLimits,
-    check_divides,
-    check_ticks,
     number_within,
-    plain_data,
     whole_within,
 )
 from pytest_pafot.world.roads.road import Meeting, Road
-from pytest_pafot.world.run_config import Rules
 
 if TYPE_CHECKING:
     from pytest_pafot.world.gym_environment import GymEnvironment
@@ -87,48 +90,48 @@ class World(BaseWorld):
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
-            expected = (
-                'the id of a registered environment, without a module name, such as "highway-v0"'
-            )
             fix = "first import the module that registers the environment"
-            fix = fix if isinstance(self.env_id, str) else f"{fix}, or write {OTHER_KIND}"
-            raise WorldError(field="env_id", expected=expected, received=repr(self.env_id), fix=fix)
+            if not isinstance(self.env_id, str):
+                fix += f", or write {OTHER_KIND}"
+            raise WorldError(
+                field="env_id",
+                expected='the id of a registered environment, without a module name, such as "highway-v0"',
+                received=repr(self.env_id),
+                fix=fix,
+            )
         if self.config is not None and not isinstance(self.config, dict):
             raise WorldError(
                 field="config",
                 expected="a dict of the environment's options",
                 received=repr(self.config),
             )
+        # A copy, so that later changes of the user's dict have no effect.
         object.__setattr__(self, "config", plain_data("config", self.config))
         self._check_fields()
         if self.duration is not None:
-            object.__setattr__(
-                self, "duration", number_within("duration", self.duration, 0.1, 3600.0)
-            )
+            self._check_number("duration", 0.1, 3600.0)
         if self.planner_hz is not None:
-            object.__setattr__(
-                self, "planner_hz", whole_within("planner_hz", self.planner_hz, *ADS_HZ)
-            )
+            self._check_whole("planner_hz", *ADS_HZ)
         if self.ends not in ENDS:
-            raise WorldError(
-                field="ends", expected=" or ".join(map(repr, ENDS)), received=f"{self.ends!r:.200}"
-            )
+            raise self._refused("ends", " or ".join(map(repr, ENDS)))
         if self.wrappers is None:
             return
         if self.planner_hz is not None:
-            expected = "no wrappers with planner_hz=, because a planner in SI units does not act through wrappers"
-            raise WorldError(
-                field="wrappers", expected=expected, received=f"{self.wrappers!r:.200}"
+            raise self._refused(
+                "wrappers",
+                "no wrappers with planner_hz=, because a planner in SI units does not act through wrappers",
             )
         if not isinstance(self.wrappers, (list, tuple)):
-            raise WorldError(
-                field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}"
-            )
+            raise self._refused("wrappers", "a list of callables")
         for index, each in enumerate(self.wrappers):
             if not callable(each):
+                field = f"wrappers[{index}]"
                 raise WorldError(
-                    field=f"wrappers[{index}]", expected="a callable", received=f"{each!r:.200}"
+                    field=field,
+                    expected="a callable",
+                    received=f"{each!r:.200}",
                 )
+        # A tuple, because worlds are compared and hashed.
         object.__setattr__(self, "wrappers", tuple(self.wrappers))
 
     def check(self) -> None:
@@ -137,12 +140,16 @@ class World(BaseWorld):
         Raises:
             WorldError: if the environment cannot be used. The message states why.
         """
-        road, rules = self.road, self.rules
+        rules = self.rules
+        road = rules.road
         self.limits.top_speed(road.speed_limit)
         room = road.length - 2 * rules.ego_start
         if rules.duration * TOP_SPEED > room:  # a vehicle could reach the end of the road
-            expected = f"at most {room / TOP_SPEED:g} s on a road of {road.length:g} m"
-            raise WorldError(field="duration", expected=expected, received=f"{rules.duration:g}")
+            raise WorldError(
+                field="duration",
+                expected=f"at most {room / TOP_SPEED:g} s on a road of {road.length:g} m",
+                received=f"{rules.duration:g}",
+            )
 
     def check_fits(self, scenario: Scenario) -> None:
         self.check()
@@ -161,9 +168,9 @@ class World(BaseWorld):
     @property
     def unused_roads(self) -> frozenset[Meeting]:
         environment = self.environment
-        is_stock = type(environment.unwrapped).__module__.startswith("highway_env.")
-        is_known = is_stock or not environment.steps_itself(drives_itself=False)
-        return self.road.unused if is_known else frozenset()
+        if not environment.is_stock and environment.steps_itself(drives_itself=False):
+            return frozenset()  # the user's code may move vehicles on all roads
+        return self.road.unused
 
     @property
     def speed_limit(self) -> float:
@@ -173,12 +180,16 @@ class World(BaseWorld):
     @property
     def observation_space(self) -> Any:
         # The space of the outermost wrapper; None for a planner in SI units.
-        return None if self.planner_hz is not None else self.environment.outer.observation_space
+        if self.planner_hz is not None:
+            return None
+        return self.environment.outer.observation_space
 
     @property
     def action_space(self) -> Any:
         # The space of the outermost wrapper; None for a planner in SI units.
-        return None if self.planner_hz is not None else self.environment.outer.action_space
+        if self.planner_hz is not None:
+            return None
+        return self.environment.outer.action_space
 
     @property
     def physics_hz(self) -> float:
@@ -204,38 +215,40 @@ class World(BaseWorld):
         self.check_fits(scenario)
         policy = Policy(ads_factory)
         policy.check_drives_in(self)
-        if self.planner_hz is not None and policy.simulates:
+        is_planner = self.planner_hz is not None
+        environment = self.environment
+        rules = self.rules
+        if is_planner and policy.simulates:
             raise AdsFactoryError(
                 "ads: expected a factory without the parameter `env`, because planner_hz= is for planners that receive "
                 "a pafot.Observation. For planners that simulate inside the environment, omit planner_hz="
             )
-        if (self.rules.ends_in_steps or not self.road.is_straight) and not policy.simulates:
+        if (rules.ends_in_steps or not rules.road.is_straight) and not policy.simulates:
             # In some environments, policies need the environment's own steps, but vehicle classes do not.
-            ads = policy.make()
-            policy = Policy(
-                ads.given
-                if ads.drives_itself
-                else wraps(ads_factory, updated=())(lambda: ads.given)
-            )
-        drives_itself = self.planner_hz is not None or policy.drives_itself
-        if not drives_itself:
-            self.environment.check_keeps_no_ego()
-        if not drives_itself or self.rules.ends:
-            self.environment.traffic  # noqa: B018  (it raises an error if the NPCs cannot have its class)
-        # An ego that acts through wrappers, or in an environment with its own `step`, needs complete episodes.
-        has_wrappers = self.wrappers is not None and not drives_itself
-        if has_wrappers or self.environment.episodes_itself(drives_itself=drives_itself):
-            return self.rollout_in_gym(scenario, policy.factory)
-        if self.planner_hz is not None:
             ads = policy.make()
             if ads.drives_itself:
                 policy = Policy(ads.given)
             else:
+                # The factory must be called only once for each run, and its result is known already.
+                policy = Policy(wraps(ads_factory, updated=())(lambda: ads.given))
+        drives_itself = is_planner or policy.drives_itself
+        if not drives_itself:
+            environment.check_keeps_no_ego()
+        if not drives_itself or rules.ends:
+            environment.traffic  # noqa: B018  (it raises an error if the NPCs cannot have its class)
+        # An ego that acts through wrappers, or in an environment with its own `step`, needs complete episodes.
+        has_wrappers = self.wrappers is not None and not drives_itself
+        if has_wrappers or environment.episodes_itself(drives_itself=drives_itself):
+            return self.rollout_in_gym(scenario, policy.factory)
+        if is_planner:
+            ads = policy.make()
+            if not ads.drives_itself:
                 with closing(ads.given, self.hang_limit):
-                    return self._planned(self.rules, scenario, ads.given)
+                    return self._planned(rules, scenario, ads.given)
+            policy = Policy(ads.given)
         from pytest_pafot.world.engines import policies  # noqa: PLC0415  (imports highway-env)
 
-        return policies.rollout(self.environment, self.rules, scenario, policy, self._own_ends)
+        return policies.rollout(environment, rules, scenario, policy, self._own_ends)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the environment."""
@@ -246,29 +259,34 @@ class World(BaseWorld):
             self.environment, self.rules, scenario, Policy(ads_factory), is_planner=is_planner
         )
 
-    def _own_ends(
-        self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
-    ) -> OwnEnds | None:
+    def _own_ends(self, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
         from pytest_pafot.world.engines import gym_replay, policies  # noqa: PLC0415  (import highway-env)
 
-        ends_beside = gym_replay.episode_beside if rules.ends_in_steps else policies.ends_beside
-        return ends_beside(self.environment, rules, scenario, vehicles, guard)
+        ends_beside: Callable[..., OwnEnds | None] = policies.ends_beside
+        if vehicles.rules.ends_in_steps:
+            ends_beside = gym_replay.episode_beside
+        return ends_beside(self.environment, vehicles, guard)
 
     def options_without_effect(
         self, *, drives_itself: bool, simulates: bool = False
     ) -> dict[str, list[str]]:
-        is_planner, ends = self.planner_hz is not None, self.ends == "environment"
         return self.environment.without_effect(
-            is_planner=is_planner, drives_itself=drives_itself, simulates=simulates, ends=ends
+            is_planner=self.planner_hz is not None,
+            drives_itself=drives_itself,
+            simulates=simulates,
+            ends=self.ends == "environment",
         )
 
     @property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        is_episode = self.wrappers is not None or self.environment.episodes_itself(
-            drives_itself=False
-        )
-        left_out = {} if is_episode or self.planner_hz is not None else self.environment.left_out
-        asked = () if self.ends == "duration" else self.environment.own_ends
+        environment = self.environment
+        is_episode = self.wrappers is not None or environment.episodes_itself(drives_itself=False)
+        if is_episode or self.planner_hz is not None:
+            return {}
+        left_out = environment.left_out
+        if self.ends == "duration":
+            return left_out
+        asked = environment.own_ends
         return {name: changed for name, changed in left_out.items() if name not in asked}
 
     def to_dict(self) -> dict[str, Any]:
@@ -279,16 +297,17 @@ class World(BaseWorld):
         """
         data = {"kind": "gym", **self._to_dict(wrappers=None)}
         data["config"] = self.environment.whole_config
-        data["duration"] = (
-            self._wanted if self.road.is_straight else min(self._wanted, self._longest)
-        )
+        data["duration"] = self._wanted
+        if not self.road.is_straight:
+            data["duration"] = min(self._wanted, self._longest)
         if self.planner_hz is None:
             del data["planner_hz"]
+        # Files state only an `ends` that makes a difference.
         if self.ends == "environment" or not (self.wrappers or self.environment.has_own_ends):
             del data["ends"]
-        return (
-            data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}
-        )
+        if self.wrappers is not None:
+            data["wrappers"] = self.environment.wrapper_names
+        return data
 
     @cached_property
     def environment(self) -> GymEnvironment:
@@ -305,25 +324,25 @@ class World(BaseWorld):
     def network(self) -> Any:
         return self.environment.network
 
-    @property
-    def stock_road(self) -> Any:
-        return self.environment.road()
+    def stock_road(self, np_random: Any = None) -> Any:
+        return self.environment.road(np_random)
 
     @cached_property
     def _rules(self) -> Rules:
-        env = self.environment.unwrapped
+        # The unwrapped environment has the configuration after a reset, which wrappers may change.
+        environment = self.environment
+        env = environment.unwrapped
         config = env.config
-        physics_hz = whole_within(
-            "config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ
-        )
+        ticks_name = "config.simulation_frequency"
+        physics_hz = whole_within(ticks_name, config["simulation_frequency"], *PHYSICS_HZ)
         name, value = "config.policy_frequency", config["policy_frequency"]
         if self.planner_hz is not None:
             name, value = "planner_hz", self.planner_hz
         ads_hz = whole_within(name, value, *ADS_HZ)
-        check_divides(("config.simulation_frequency", physics_hz), (name, ads_hz))
+        check_divides(ticks_name, physics_hz, name, ads_hz)
         duration = self._wanted
         check_ticks(duration, physics_hz)
-        road: Road | None = self.environment.straight_road
+        road: Road | None = environment.straight_road
         if road is None:
             from pytest_pafot.world.roads.junction import with_junction  # noqa: PLC0415  (only for curved roads)
             from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for curved roads)
@@ -334,61 +353,63 @@ class World(BaseWorld):
             # the run ends when an ego at its initial speed would reach the end of the road
             if way.ego_speed > 0:
                 duration = min(duration, (way.end - way.start) / way.ego_speed)
-        rates = {"physics_hz": physics_hz, "ads_hz": ads_hz}
-        obstacles = self.environment.obstacles
-        made = self._rules_on(road, **rates, duration=duration, obstacles=obstacles)
+        made = self._rules_on(
+            road,
+            physics_hz=physics_hz,
+            ads_hz=ads_hz,
+            duration=duration,
+            obstacles=environment.obstacles,
+        )
         if self.ends == "duration":
             return made
-        in_steps = self.planner_hz is None and self.environment.ends_in_steps
-        made = replace(made, ends=self.environment.own_ends, ends_in_steps=in_steps)
-        # A user's `step` may repeat actions, so the number of its ticks is not known.
-        is_known = not self.environment.has_own_step or type(env).step.__module__.startswith(
-            "highway_env."
-        )
-        if (steps := self.environment.step_limit) is None or not is_known:
+        in_steps = self.planner_hz is None and environment.ends_in_steps
+        made = replace(made, ends=environment.own_ends, ends_in_steps=in_steps)
+        steps = environment.step_limit
+        # If a `step` repeats actions, the number of its ticks is not known.
+        if steps is None or environment.may_repeat_actions:
             return made
+        # A step of the environment lasts several ticks.
         limit = steps * made.step_ticks
+        made = replace(made, duration=min(duration, limit / physics_hz))
         # If no duration is set, as in two-way-v0, the limit is the intended duration, so no run ends early.
-        is_early = limit < duration * physics_hz and (
-            self.duration is not None or "duration" in config
-        )
-        return replace(
-            made, step_limit=limit if is_early else None, duration=min(duration, limit / physics_hz)
-        )
+        has_duration = self.duration is not None or "duration" in config
+        if has_duration and limit < duration * physics_hz:
+            made = replace(made, step_limit=limit)
+        return made
 
     @property
     def _wanted(self) -> float:
         # The duration [s] on a straight road: `duration` or, if it is None, the environment's own duration.
-        config, name = (
-            self.environment.unwrapped.config,
-            "config.duration" if self.duration is None else "duration",
-        )
-        value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
+        config = self.environment.unwrapped.config
+        name, value = "duration", self.duration
+        if value is None:
+            name, value = "config.duration", config.get("duration", LONGEST_RUN)
         return number_within(name, value, 1 / config["simulation_frequency"], 3600.0)
 
     @property
     def _longest(self) -> float:
         # The longest duration [s] on curved roads.
         own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
-        most = LONGEST_RUN if self.duration is None else math.inf
-        return min(number_within("config.duration", own, 0.0, math.inf), most)
+        longest = number_within("config.duration", own, 0.0, math.inf)
+        if self.duration is None:
+            longest = min(longest, LONGEST_RUN)
+        return longest
 
 
 def action_names(world: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of a world's discrete meta-actions, ordered by number, or an empty tuple if there are none."""
     config = world.get("config")
-    given = (
-        config.get("action")
-        if isinstance(config, Mapping) and not world.get("planner_hz")
-        else None
-    )
+    if not isinstance(config, Mapping) or world.get("planner_hz"):
+        return ()
+    given = config.get("action")
     if not isinstance(given, Mapping) or given.get("type") != "DiscreteMetaAction":
         return ()
     from pytest_pafot.world.stock import action  # noqa: PLC0415  (slow to import, and a report may have no such run)
 
-    kind = action.DiscreteMetaAction
-    along, across = given.get("longitudinal", True), given.get("lateral", True)
-    names = (
-        kind.ACTIONS_ALL if along and across else kind.ACTIONS_LONGI if along else kind.ACTIONS_LAT
-    )
+    # The numbers of actions depend on which of the two groups exist.
+    names = action.DiscreteMetaAction.ACTIONS_ALL
+    if not given.get("longitudinal", True):
+        names = action.DiscreteMetaAction.ACTIONS_LAT
+    elif not given.get("lateral", True):
+        names = action.DiscreteMetaAction.ACTIONS_LONGI
     return tuple(names[number] for number in range(len(names)))

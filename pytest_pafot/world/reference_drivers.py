@@ -12,7 +12,6 @@ Manual (two-way stop, two-lane major road).
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -23,7 +22,7 @@ from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 # Standard gravity [m/s^2].
@@ -34,14 +33,15 @@ DELAY = 0.75
 PERCEPTION = 0.4
 # A vehicle that cuts in is a risk below this time to collision [s]. A leader is a risk above this braking [m/s^2]
 # (UN R157).
-TIME_TO_COLLISION, LEADER_BRAKING = 2.0, 5.0
+TIME_TO_COLLISION = 2.0
+LEADER_BRAKING = 5.0
 # The largest offset from its lane's centre at which a vehicle keeps its lane. A larger offset distinguishes a cut-in
 # from wandering (UN R157) [m].
 KEEPING = 0.375
 # The deceleration of hard braking (UN R157) [m/s^2].
 HARD_BRAKING = 0.774 * GRAVITY
-# The time in which hard braking builds up (UN R157) [s].
-BUILD_UP = 0.6
+# The jerk with which hard braking builds up, in 0.6 s (UN R157) [m/s^3].
+JERK = HARD_BRAKING / 0.6
 
 # The time gap to the vehicle ahead [s].
 HEADWAY = 2.0
@@ -71,7 +71,8 @@ STOPPING = 2.0
 # Predictions of arrivals at a zone assume at least this speed, because a slow or stationary vehicle may set off [m/s].
 CREEPING = 2.0
 # A vehicle that has been slower than this speed [m/s] for this time [s] is assumed to let other vehicles go first.
-STANDING, PATIENCE = 0.3, 2.0
+STANDING = 0.3
+PATIENCE = 2.0
 # The shortest time between a vehicle's exit from a zone and the driver's entry [s].
 CLEAR = 0.5
 
@@ -79,7 +80,8 @@ CLEAR = 0.5
 EPSILON = 1e-6
 
 # Steering for each metre of offset from the lane's centre [rad/m], and for each radian of angle to the lane [1].
-LANE_GAIN, HEADING_GAIN = 0.01, 0.3
+LANE_GAIN = 0.01
+HEADING_GAIN = 0.3
 # Before a takeover, the driver watches for this time [s], which is long enough to notice every vehicle.
 WATCHED = 6.0
 
@@ -96,7 +98,9 @@ class Leader(NamedTuple):
     @property
     def time_to_collision(self) -> float:
         """The time [s] to collision at constant speeds, or infinity if the gap does not shrink."""
-        return max(self.gap, 0.0) / self.closing if self.closing > 0 else math.inf
+        if self.closing <= 0:
+            return math.inf
+        return max(self.gap, 0.0) / self.closing
 
     @property
     def is_critical(self) -> bool:
@@ -107,13 +111,12 @@ class Leader(NamedTuple):
 
 
 @dataclass(slots=True)
-class ReferenceDriver(ABC):
-    """The base class of reference drivers, which keep their lane and react to the vehicles ahead."""
+class CarefulHuman:
+    """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
 
-    # The hardest braking [m/s^2].
-    HARDEST = HARD_BRAKING
-    # The jerk with which braking builds up [m/s^3].
-    JERK = HARD_BRAKING / BUILD_UP
+    The driver needs 0.4 s to perceive a danger and another 0.75 s to start braking, and then brakes at up to 0.774 g
+    until the danger is over. Without danger, the driver needs the same time to react to a new vehicle ahead.
+    """
 
     # The time of the observation, and the time since the previous observation [s].
     now: float = 0.0
@@ -133,24 +136,26 @@ class ReferenceDriver(ABC):
     brakings: tuple[float, ...] = ()
     places: tuple[float, ...] = ()
     drifts: tuple[float, ...] = ()
+    # The time at which hard braking starts, and the last time at which the driver braked [s].
+    brakes_from: float = math.inf
+    braked: float = -math.inf
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
         """Return an acceleration [m/s^2] and a steering angle [rad]."""
-        ego, others = observation.ego, observation.others
-        speeds, places = (
-            tuple([_along(other) for other in others]),
-            tuple([other.y for other in others]),
-        )
-        self.own_speed, self.own_half = _along(ego), _half_length(ego)
+        ego = observation.ego
+        others = observation.others
+        speeds = tuple([_along(other) for other in others])
+        places = tuple([other.y for other in others])
+        self.own_speed = _along(ego)
+        self.own_half = _half_length(ego)
         if self.wanted is None:
-            self.lane, self.wanted, self.now = (
-                ego.lane,
-                min(ego.speed, observation.speed_limit),
-                observation.time,
-            )
-        self.step, self.now = observation.time - self.now, observation.time
-        step = self.step
+            self.lane = ego.lane
+            self.wanted = min(ego.speed, observation.speed_limit)
+            self.now = observation.time
+        self.step = step = observation.time - self.now
+        self.now = observation.time
         if step > 0 and len(self.speeds) == len(speeds):
+            # Both come from the changes since the last observation, because vehicles do not show them.
             self.brakings = tuple(
                 [(before - now) / step for before, now in zip(self.speeds, speeds, strict=True)]
             )
@@ -160,15 +165,14 @@ class ReferenceDriver(ABC):
         else:
             self.brakings = (0.0,) * len(speeds)
             self.drifts = tuple([other.speed * math.sin(other.heading) for other in others])
-        self.speeds, self.places = speeds, places
-        lowest = self.acceleration - self.JERK * self.step
+        self.speeds = speeds
+        self.places = places
+        lowest = self.acceleration - JERK * step
         wish = min(self.wish(observation), self.at_junction(observation))
         # brakes are released immediately
-        self.acceleration = max(wish, min(lowest, 0.0), -self.HARDEST)
-        steering = (
-            -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
-        )
-        return self.acceleration, steering
+        self.acceleration = max(wish, min(lowest, 0.0), -HARD_BRAKING)
+        offset = ego.y - self.lane * observation.lane_width
+        return self.acceleration, -LANE_GAIN * offset - HEADING_GAIN * ego.heading
 
     def watch(self, observation: Observation) -> None:
         """Adopt the lane, and the highest speed so far, of the driver that currently controls the ego."""
@@ -176,10 +180,67 @@ class ReferenceDriver(ABC):
         self.lane = observation.ego.lane
         self.wanted = max(self.wanted or 0.0, min(observation.ego.speed, observation.speed_limit))
 
+    def wish(self, observation: Observation) -> float:
+        """Return the acceleration [m/s^2] that the vehicles ahead allow."""
+        # The 0.75 s of the regulation are also the time in which the foot moves back from the brake to the accelerator.
+        # Until then, the driver does not speed up, and reacts to a new danger as soon as it perceives it. The
+        # regulation, in which one vehicle cuts in and the driver brakes once, does not cover this case.
+        ego = observation.ego
+        if self.acceleration <= -BRAKES:
+            self.braked = self.now
+        foot = self.held("foot at the brake", self.now - self.braked < DELAY - EPSILON)
+        # `calm` is the acceleration without danger: the lowest one that any leader allows.
+        calm = self.cruise(ego.speed)
+        is_over = True
+        if foot >= 0:
+            calm = min(calm, 0.0)
+        for index, other in enumerate(observation.others):
+            leader = self.ahead(observation, index)
+            is_known = f"noticed {index}" in self.since
+            if leader is not None and not matters_to(
+                ego, other, self.drifts[index], observation.lane_width, is_known
+            ):
+                leader = None
+            # How long the vehicle has mattered, has been a danger, and has required gentle braking.
+            critical = leader is not None and leader.is_critical
+            follow = 0.0
+            if leader is not None:
+                follow = self.follow(ego.speed, leader)
+            noticed = self.held(f"noticed {index}", leader is not None)
+            danger = self.held(f"danger {index}", critical)
+            slowing = self.held(f"slowing {index}", follow <= -BRAKES)
+            if leader is None:
+                continue
+            is_over &= leader.closing <= 0 and not critical
+            # The rules also count the step to the first tick of a danger, because the leader already braked in it.
+            if danger + self.step >= PERCEPTION - EPSILON:
+                starts = max(self.now, self.now - danger + PERCEPTION)
+                # A foot that was moved for this vehicle before it became a danger is not moved again.
+                if foot < danger and slowing < PERCEPTION + DELAY - EPSILON:
+                    starts += DELAY
+                self.brakes_from = min(self.brakes_from, starts)
+            reaction = PERCEPTION
+            if foot < noticed:
+                reaction += DELAY
+            if noticed >= reaction - EPSILON or noticed == self.now:
+                calm = min(calm, follow)
+            elif noticed >= PERCEPTION - EPSILON and follow < 0:
+                # the foot has left the accelerator, but is not yet on the brake
+                calm = min(calm, 0.0)
+        # Hard braking ends when no vehicle is critical and the ego is not faster than any of its leaders.
+        if is_over and self.brakes_from <= self.now:
+            self.brakes_from = math.inf
+        if self.brakes_from <= self.now + EPSILON:
+            return -HARD_BRAKING
+        if self.brakes_from < math.inf:
+            calm = min(calm, 0.0)
+        return calm
+
     def at_junction(self, observation: Observation) -> float:
         """Return the highest acceleration [m/s^2] that vehicles on other paths allow, or infinity if there are none."""
         if not observation.crossing:
             return math.inf
+        # Only vehicles that the ego still has to meet.
         meeting = [
             other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0
         ]
@@ -187,6 +248,7 @@ class ReferenceDriver(ABC):
         stops = [other.ego_distance for other, first in zip(meeting, passes, strict=True) if first]
         wishes = []
         for other, first in zip(meeting, passes, strict=True):
+            # A driver who stops for one vehicle must not stand in the zone of another.
             is_stop_in_it = any(
                 other.ego_distance < stop < other.ego_to_leave + LINE for stop in stops
             )
@@ -199,26 +261,30 @@ class ReferenceDriver(ABC):
         lets_pass = self.held(f"lets pass {other.id}", waits)
         if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave:
             gap = other.ego_to_leave - other.to_leave - (ego.length + other.length) / 2
-            leader = Leader(
-                gap=gap, speed=other.speed, closing=ego.speed - other.speed, braking=0.0
-            )
-            return -self.HARDEST if leader.is_critical else self.follow(ego.speed, leader)
+            leader = Leader(gap, other.speed, closing=ego.speed - other.speed, braking=0.0)
+            if leader.is_critical:
+                return -HARD_BRAKING
+            return self.follow(ego.speed, leader)
         if lets_pass < PERCEPTION + DELAY - EPSILON:
             return math.inf
-        if other.ego_distance > 0 and ego.speed**2 <= 2 * self.HARDEST * other.ego_distance:
+        if other.ego_distance > 0 and ego.speed**2 <= 2 * HARD_BRAKING * other.ego_distance:
             room = other.ego_distance - LINE
             # near the line: no hard braking for a few cm
             needed = ego.speed**2 / (2 * max(room, LINE / 2))
-            return -max(needed, STOPPING) if needed >= STOPPING or room < LINE else math.inf
-        in_the_way = other.is_inside and other.ahead > 0
+            if needed >= STOPPING or room < LINE:
+                return -max(needed, STOPPING)
+            return math.inf
+        if other.is_inside and other.ahead > 0:  # in the way
+            return -HARD_BRAKING
         # it is too late to stop, so the ego leaves the zone
-        return -self.HARDEST if in_the_way else math.inf
+        return math.inf
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
         """Return whether the driver waits before a zone until a vehicle has passed, or has left room behind it."""
-        ego = observation.ego
-        enters = max(other.ego_distance, 0.0) / max(ego.speed, CREEPING)
-        leaves = other.to_leave / other.speed if other.speed > STANDING else math.inf
+        enters = max(other.ego_distance, 0.0) / max(observation.ego.speed, CREEPING)
+        leaves = math.inf
+        if other.speed > STANDING:
+            leaves = other.to_leave / other.speed
         arrives = max(other.distance, 0.0) / max(other.speed, CREEPING)
         if self.held(f"stands {other.id}", other.speed <= STANDING) >= PATIENCE:
             arrives = math.inf
@@ -233,17 +299,12 @@ class ReferenceDriver(ABC):
 
     def is_queue_behind(self, observation: Observation, other: CrossingVehicle) -> bool:
         """Return whether a slow vehicle behind a zone leaves too little room for the ego to clear the zone."""
-        ego = observation.ego
-        room = other.ego_to_leave + ego.length / 2 + STANDSTILL_GAP
-        leaders = (self.ahead(observation, index) for index in range(len(observation.others)))
-        return any(
-            leader is not None and leader.speed < CREEPING and leader.gap < room
-            for leader in leaders
-        )
-
-    @abstractmethod
-    def wish(self, observation: Observation) -> float:
-        """Return the acceleration [m/s^2] that the driver currently wants."""
+        room = other.ego_to_leave + observation.ego.length / 2 + STANDSTILL_GAP
+        for index in range(len(observation.others)):
+            leader = self.ahead(observation, index)
+            if leader is not None and leader.speed < CREEPING and leader.gap < room:
+                return True
+        return False
 
     def held(self, condition: str, holds: bool) -> float:
         """Return how long [s] a condition has been true without interruption, or minus infinity if it is false."""
@@ -254,9 +315,11 @@ class ReferenceDriver(ABC):
 
     def ahead(self, observation: Observation, index: int) -> Leader | None:
         """Return a vehicle in any lane as a leader, or None if its centre is not ahead of the ego's centre."""
-        ego, other, speed = observation.ego, observation.others[index], self.speeds[index]
+        ego = observation.ego
+        other = observation.others[index]
         if other.x <= ego.x:
             return None
+        speed = self.speeds[index]
         gap = other.x - ego.x - (self.own_half + _half_length(other))
         return Leader(gap, speed, self.own_speed - speed, self.brakings[index])
 
@@ -266,73 +329,8 @@ class ReferenceDriver(ABC):
 
     def follow(self, speed: float, leader: Leader) -> float:
         missing = STANDSTILL_GAP + HEADWAY * speed - leader.gap
-        return max(
-            min(-GAP_GAIN * missing - CLOSING_GAIN * leader.closing, GENTLE_ACCELERATION),
-            -GENTLE_BRAKING,
-        )
-
-
-@dataclass(slots=True)
-class CarefulHuman(ReferenceDriver):
-    """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
-
-    The driver needs 0.4 s to perceive a danger and another 0.75 s to start braking, and then brakes at up to 0.774 g
-    until the danger is over. Without danger, the driver needs the same time to react to a new vehicle ahead.
-    """
-
-    brakes_from: float = math.inf
-    braked: float = -math.inf
-
-    def wish(self, observation: Observation) -> float:
-        # The 0.75 s of the regulation are also the time in which the foot moves back from the brake to the accelerator.
-        # Until then, the driver does not speed up, and reacts to a new danger as soon as it perceives it. The
-        # regulation, in which one vehicle cuts in and the driver brakes once, does not cover this case.
-        ego = observation.ego
-        if self.acceleration <= -BRAKES:
-            self.braked = self.now
-        foot = self.held("foot at the brake", self.now - self.braked < DELAY - EPSILON)
-        # `calm` is the acceleration without danger: the lowest one that any leader allows.
-        calm, is_over = self.cruise(ego.speed), True
-        if foot >= 0:
-            calm = min(calm, 0.0)
-        for index, other in enumerate(observation.others):
-            leader = self.ahead(observation, index)
-            is_known = f"noticed {index}" in self.since
-            if leader is not None and not matters_to(
-                ego, other, self.drifts[index], observation.lane_width, is_known
-            ):
-                leader = None
-            # How long the vehicle has mattered, has been a danger, and has required gentle braking.
-            noticed = self.held(f"noticed {index}", leader is not None)
-            critical = leader is not None and leader.is_critical
-            danger = self.held(f"danger {index}", critical)
-            follow = 0.0 if leader is None else self.follow(ego.speed, leader)
-            slowing = self.held(f"slowing {index}", follow <= -BRAKES)
-            if leader is None:
-                continue
-            is_over &= leader.closing <= 0 and not critical
-            # The rules also count the step to the first tick of a danger, because the leader already braked in it.
-            if danger + self.step >= PERCEPTION - EPSILON:
-                # A foot that was moved for this vehicle before it became a danger is not moved again.
-                is_at_brake = foot >= danger or slowing >= PERCEPTION + DELAY - EPSILON
-                perceived = max(self.now, self.now - danger + PERCEPTION)
-                self.brakes_from = min(
-                    self.brakes_from, perceived + (0.0 if is_at_brake else DELAY)
-                )
-            if (
-                noticed >= PERCEPTION + (DELAY if foot < noticed else 0.0) - EPSILON
-                or noticed == self.now
-            ):
-                calm = min(calm, follow)
-            elif noticed >= PERCEPTION - EPSILON and follow < 0:
-                # the foot has left the accelerator, but is not yet on the brake
-                calm = min(calm, 0.0)
-        # Hard braking ends when no vehicle is critical and the ego is not faster than any of its leaders.
-        if is_over and self.brakes_from <= self.now:
-            self.brakes_from = math.inf
-        if self.brakes_from < math.inf:
-            calm = min(calm, 0.0)
-        return -HARD_BRAKING if self.brakes_from <= self.now + EPSILON else calm
+        wish = -GAP_GAIN * missing - CLOSING_GAIN * leader.closing
+        return max(min(wish, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
 
 class RecordedBody(Body):
@@ -359,7 +357,7 @@ class RecordedBody(Body):
 class Relief:
     """A reference driver that takes over at ``time`` [s], and only observes for a short time before that."""
 
-    driver: ReferenceDriver
+    driver: CarefulHuman
     time: float
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
@@ -371,7 +369,7 @@ class Relief:
 
 
 # The factories of drivers that can be the policy of a search or take over during a run, by name.
-REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({CAREFUL: CarefulHuman})
+REFERENCES: Mapping[str, Callable[[], CarefulHuman]] = MappingProxyType({CAREFUL: CarefulHuman})
 
 
 def matters_to(
@@ -381,18 +379,22 @@ def matters_to(
 
     ``drift`` is the vehicle's speed [m/s] to the right.
     """
-    if _apart(ego, other) <= 0:  # the boxes overlap across the road
+    apart = abs(ego.y - other.y)
+    half_width = _half_width(other)
+    if apart - _half_width(ego) - half_width <= 0:  # the boxes overlap across the road
         return True
     # Otherwise, the vehicle must have left the centre of its lane and move towards the ego. If it has mattered before,
     # it still does while it pauses over the line.
-    side = 1.0 if ego.y > other.y else -1.0
+    side = -1.0
+    if ego.y > other.y:
+        side = 1.0
     offset = side * (other.y - other.lane * lane_width)
     # Its centre is over the line, but its box, if narrow, is not yet in the ego's way.
     if other.lane == ego.lane:
         offset += lane_width
-    next_lane = abs(ego.y - other.y) < 1.5 * lane_width
-    stays = is_known and offset + _half_width(other) > lane_width / 2
-    return next_lane and offset > KEEPING and (stays or side * drift >= DRIFTING)
+    stays = is_known and offset + half_width > lane_width / 2
+    moves_in = stays or side * drift >= DRIFTING
+    return apart < 1.5 * lane_width and offset > KEEPING and moves_in
 
 
 def _along(vehicle: VehicleState) -> float:
@@ -400,16 +402,12 @@ def _along(vehicle: VehicleState) -> float:
 
 
 def _half_length(vehicle: VehicleState) -> float:
-    return (
-        vehicle.length * math.cos(vehicle.heading) + vehicle.width * abs(math.sin(vehicle.heading))
-    ) / 2
+    cos = math.cos(vehicle.heading)
+    sin = abs(math.sin(vehicle.heading))
+    return (vehicle.length * cos + vehicle.width * sin) / 2
 
 
 def _half_width(vehicle: VehicleState) -> float:
-    return (
-        vehicle.width * math.cos(vehicle.heading) + vehicle.length * abs(math.sin(vehicle.heading))
-    ) / 2
-
-
-def _apart(ego: VehicleState, other: VehicleState) -> float:
-    return abs(ego.y - other.y) - _half_width(ego) - _half_width(other)
+    cos = math.cos(vehicle.heading)
+    sin = abs(math.sin(vehicle.heading))
+    return (vehicle.width * cos + vehicle.length * sin) / 2

@@ -22,8 +22,16 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import BaseWorld, EgoVehicle, FirstDecision
-from pytest_pafot.world.driving.policy import AdsFactory, Policy
-from pytest_pafot.world.engines.run import planner_driver, planner_run
+from pytest_pafot.world.driving.policy import AdsFactory, Policy, ads_and_sight
+from pytest_pafot.world.engines.run import (
+    ADS_HZ,
+    PHYSICS_HZ,
+    FixedObject,
+    Rules,
+    check_ticks,
+    plain_data,
+    planner_driver,
+)
 from pytest_pafot.world.engines.simulation import (
     Frame,
     Headings,
@@ -35,24 +43,19 @@ from pytest_pafot.world.engines.simulation import (
     Simulators,
 )
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
+from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.limits import (
-    ADS_HZ,
     CLEARANCE,
     HANG_LIMIT,
     HEADWAY,
-    PHYSICS_HZ,
     PLANNER_HZ,
     TOP_SPEED,
     NpcLimits,
-    check_ticks,
     number_within,
-    plain_data,
-    whole_if_possible,
     whole_within,
 )
 from pytest_pafot.world.roads.road import Road, StraightRoad, ego_start
-from pytest_pafot.world.run_config import Rules
 
 if TYPE_CHECKING:
     from pytest_pafot.model.vehicle_type import VehicleName, VehicleType
@@ -119,17 +122,17 @@ class SimulatorWorld(BaseWorld):
 
     def __post_init__(self) -> None:
         if isinstance(self.simulator, Simulator) or not callable(self.simulator):
-            expected = "a subclass of pafot.Simulator, or a function without parameters that creates a simulator"
             name = type(self.simulator).__name__
-            fix = f"write pafot.SimulatorWorld({name}), or pass arguments with functools.partial({name}, ...)"
-            raise WorldError(
-                field="simulator", expected=expected, received=f"{self.simulator!r:.200}", fix=fix
+            raise self._refused(
+                "simulator",
+                "a subclass of pafot.Simulator, or a function without parameters that creates a simulator",
+                f"write pafot.SimulatorWorld({name}), or pass arguments with functools.partial({name}, ...)",
             )
         if self.ads_hz is not None:
-            object.__setattr__(
-                self, "ads_hz", whole_if_possible(number_within("ads_hz", self.ads_hz, *ADS_HZ))
-            )
-        object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
+            # The tick rate is known only after the simulator has been created, so the divisor is checked later.
+            self._check_number("ads_hz", *ADS_HZ)
+            object.__setattr__(self, "ads_hz", whole_if_possible(self.ads_hz))
+        self._check_number("duration", 0.1, 3600.0)
         self._check_fields()
 
     @cached_property
@@ -139,13 +142,11 @@ class SimulatorWorld(BaseWorld):
 
     @cached_property
     def _stated(self) -> _Stated:
-        simulators = self.simulators
-        made = simulators.take()
+        made = self.simulators.take()
         try:
-            stated = _check_statements(made)
+            return _check_statements(made)
         finally:
-            simulators.give(made)
-        return stated
+            self.simulators.give(made)
 
     @property
     def physics_hz(self) -> float:
@@ -154,7 +155,9 @@ class SimulatorWorld(BaseWorld):
 
     @property
     def tick(self) -> float:
-        return 0.0 if isinstance(self.physics_hz, int) else 1 / self.physics_hz
+        if isinstance(self.physics_hz, int):
+            return 0.0
+        return 1 / self.physics_hz
 
     @property
     def is_native(self) -> bool:
@@ -178,7 +181,9 @@ class SimulatorWorld(BaseWorld):
     @property
     def packages(self) -> tuple[str, ...]:
         """The packages that the simulator's class lists, or none if a function creates the simulator."""
-        maker = self.simulator.func if isinstance(self.simulator, partial) else self.simulator
+        maker: Any = self.simulator
+        if isinstance(maker, partial):
+            maker = maker.func
         return getattr(maker, "packages", ())  # of the class, because creating a simulator may fail
 
     @property
@@ -193,47 +198,39 @@ class SimulatorWorld(BaseWorld):
     @cached_property
     def _on_road(self) -> _OnRoad:
         stated = self._stated
-        self.limits.top_speed(stated.speed_limit)
-        width, limit = stated.lane_width, stated.speed_limit
+        width = stated.lane_width
+        limit = stated.speed_limit
+        self.limits.top_speed(limit)
         ends = 2 * ego_start(self.headway, self.clearance)
         lines = self._lines
         if lines is None:
             # A straight road without an end is as long as a run needs, even a continued run.
             length = 100.0 + ends + TOP_SPEED * (self.duration + DRIVEN_ON)
-            return _OnRoad(
-                StraightRoad.uniform(stated.count, length, width, limit), Frame(stated), math.inf
-            )
-        from pytest_pafot.world.roads.survey import network_of, straight_along  # noqa: PLC0415  (not in each world)
+            straight = StraightRoad.uniform(stated.count, length, width, limit)
+            return _OnRoad(straight, Frame(stated), math.inf)
+        from pytest_pafot.world.roads.survey import network_of, straight_along, survey  # noqa: PLC0415  (not in each world)
 
         # Parallel straight lines that are long enough for a run are also a straight road.
-        if (found := straight_along(lines, width)) is not None:
+        found = straight_along(lines, width)
+        if found is not None:
             origin, length = found
             longest = (length - ends) / TOP_SPEED
             if longest >= min(self.duration, LEAST_RUN):
-                return _OnRoad(
-                    StraightRoad.uniform(len(lines), length, width, limit),
-                    Frame(stated, origin),
-                    longest,
-                )
-        from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for roads of other shapes)
-
+                straight = StraightRoad.uniform(len(lines), length, width, limit)
+                return _OnRoad(straight, Frame(stated, origin), longest)
         # On all other roads, the ego follows the lane in which it starts, as in an environment of highway-env.
-        line, at = lines[stated.start_lane], stated.start_at
-        lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
-        if at is None:
-            at = min(ROOM_BEHIND, float(lengths[-1]) / 4)
-        place, ahead = (
-            np.array([np.interp(each, lengths, line[:, axis]) for axis in (0, 1)])
-            for each in (at, at + 1)
-        )
-        speed = min(EGO_SPEED, limit) if stated.start_speed is None else stated.start_speed
-        ego = SimpleNamespace(
-            position=place, heading=math.atan2(*(ahead - place)[::-1]), speed=speed
-        )
+        # The speed also determines how far the ego gets on a road with an end.
+        speed = stated.start_speed
+        if speed is None:
+            speed = min(EGO_SPEED, limit)
+        x, y, heading = _start_on(lines[stated.start_lane], stated.start_at)
+        ego = SimpleNamespace(position=np.array([x, y]), heading=heading, speed=speed)
         network = network_of(lines, width, limit, stated.name)
         env = SimpleNamespace(road=SimpleNamespace(network=network), vehicle=ego)
         road = survey(env, stated.name, self.limits, self.duration * TOP_SPEED)
-        longest = (road.end - road.start) / speed if speed > 0.0 else math.inf
+        longest = math.inf
+        if speed > 0.0:
+            longest = (road.end - road.start) / speed
         return _OnRoad(road, Frame(stated), longest, network)
 
     @property
@@ -242,50 +239,64 @@ class SimulatorWorld(BaseWorld):
         stated = self._stated
         if stated.lines is not None or stated.length is None:
             return stated.lines
+        # A straight road of a limited length is treated like lanes with centre lines.
         across = [number * stated.lane_width for number in range(stated.count)]
         return [np.array([(0.0, each), (stated.length, each)]) for each in across]
 
     @cached_property
     def network(self) -> Any:
+        network = self._on_road.network
+        if network is None:
+            return super().network
         from pytest_pafot.world.driving.vehicles import SearchedLanes  # noqa: PLC0415  (imports highway-env)
 
-        bent = self._on_road.network
-        return super().network if bent is None else SearchedLanes(bent)
+        return SearchedLanes(network)
 
     @cached_property
     def _rules(self) -> Rules:
-        road, duration, hz = self.road, self.duration, self.physics_hz
-        # Without `ads_hz`, decisions are as far apart as possible, with at least 5 per second. If the ticks per second
-        # are a whole number, they are a multiple of the ticks between decisions.
-        slowest = int(hz / PLANNER_HZ + 1e-9)
-        every = next(
-            each for each in range(slowest, 0, -1) if not isinstance(hz, int) or hz % each == 0
-        )
-        if self.ads_hz is not None:
-            every = max(round(hz / self.ads_hz), 1)
-            if abs(hz / self.ads_hz - every) > 1e-3 * every:
-                expected = f"a rate that divides {self._stated.name}'s {hz:.6g} ticks per second"
-                near = {max(int(hz / self.ads_hz), 1) + more for more in (0, self.ads_hz < hz)}
-                fix = f"use {' or '.join(f'{hz / each:.6g}' for each in sorted(near))}"
-                raise WorldError(
-                    field="ads_hz", expected=expected, received=f"{self.ads_hz:g}", fix=fix
-                )
-        ads_hz = whole_if_possible(hz / every)
-        check_ticks(duration, hz)
-        # On a short road, runs end where the road ends.
-        duration = min(duration, self._on_road.longest)
+        hz = self.physics_hz
+        check_ticks(self.duration, hz)
         return self._rules_on(
-            road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles
+            self.road,
+            physics_hz=hz,
+            ads_hz=whole_if_possible(hz / self._every),
+            # On a short road, runs end where the road ends.
+            duration=min(self.duration, self._on_road.longest),
+            obstacles=self._obstacles,
         )
 
+    @property
+    def _every(self) -> int:
+        # The number of ticks between two decisions.
+        hz = self.physics_hz
+        if self.ads_hz is None:
+            # Decisions are as far apart as possible, with at least 5 per second. If the ticks per second are a whole
+            # number, they are a multiple of the ticks between decisions.
+            slowest = int(hz / PLANNER_HZ + 1e-9)
+            if not isinstance(hz, int):
+                return slowest
+            return next(n for n in range(slowest, 0, -1) if hz % n == 0)
+        # A decision must last a whole number of ticks. The tolerance allows for rounded rates.
+        ticks = hz / self.ads_hz
+        every = max(round(ticks), 1)
+        if abs(ticks - every) > 1e-3 * every:
+            lower = max(int(ticks), 1)
+            near = {lower, lower + (self.ads_hz < hz)}
+            raise WorldError(
+                field="ads_hz",
+                expected=f"a rate that divides {self._stated.name}'s {hz:.6g} ticks per second",
+                received=f"{self.ads_hz:g}",
+                fix=f"use {' or '.join(f'{hz / each:.6g}' for each in sorted(near))}",
+            )
+        return every
+
     @cached_property
-    def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
+    def _obstacles(self) -> tuple[FixedObject, ...]:
         # The position of an object is always its centre, regardless of the reference point for vehicles.
-        frame, found = (
-            Frame(replace(self._stated, rear_axle_offset=None), self._on_road.frame.origin),
-            [],
-        )
-        for x, y, heading, length, width in self._stated.obstacles:
+        stated = replace(self._stated, rear_axle_offset=None)
+        frame = Frame(stated, self._on_road.frame.origin)
+        found = []
+        for x, y, heading, length, width in stated.obstacles:
             # With a length of 0, the point of reference is the centre.
             placed = frame.state((x, y, heading, 0.0), 0.0, 0.0)
             found.append((*placed[:3], length * frame.metres, width * frame.metres))
@@ -300,9 +311,10 @@ class SimulatorWorld(BaseWorld):
         _ = self.rules
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
-        asked, name = super().first_decision(scenario), self.maker.__name__
+        asked = super().first_decision(scenario)
         if asked is None or not self.is_native:
             return asked
+        name = self.maker.__name__
         advice = f"{name}.observe returned this input, because native is True. For a planner, set it to False."
         return replace(asked, advice=advice)
 
@@ -331,13 +343,16 @@ class SimulatorWorld(BaseWorld):
         self.check_fits(scenario)
         policy = Policy(ads_factory)
         policy.check_drives_in(self)
+        # Both need highway-env.
         if policy.simulates or policy.drives_itself:
             raise self._no_planner(ads_factory)
         ads = policy.make()
         if ads.drives_itself:
             raise self._no_planner(ads.given)
         with closing(ads.given, self.hang_limit):
-            given = ads.policy if self.is_native else ads.given
+            given = ads.given
+            if self.is_native:
+                given = ads.policy
             return self._planned(self.rules, scenario, given, decisions, is_native=self.is_native)
 
     def _no_planner(self, given: Any) -> AdsFactoryError:
@@ -361,26 +376,29 @@ class SimulatorWorld(BaseWorld):
         is_native: bool = False,
     ) -> Trace:
         guard = HangGuard(rules.hang_limit)
-        stock_road = lambda: self.stock_road  # noqa: E731  (making it imports highway-env)
-        vehicles, driver = planner_run(
-            rules, scenario, stock_road, ads, guard, decisions=decisions, body=body
-        )
+        vehicles = self._vehicles(rules, scenario, body)
+        every = self.rules.every
         if is_native:
-            driver = NativeDriver(vehicles, ads, guard, decisions, self.rules.every)
+            driver: PlannerDriver = NativeDriver(vehicles, ads, guard, decisions, every)
+        else:
+            # Only planners in SI units can have an imperfect perception.
+            decides, sight = ads_and_sight(ads)
+            driver = planner_driver(vehicles, decides, guard, sight, decisions)
         # A reference driver takes over from an ego that repeats the decisions of the policy, at the policy's rate.
         if isinstance(body, RepeatedBody):
             if self.is_native:
-                body.repeats = NativeDriver(vehicles, ads, guard, body.actions, self.rules.every)
+                body.repeats = NativeDriver(vehicles, ads, guard, body.actions, every)
             else:
-                own = replace(rules, ads_hz=self.rules.ads_hz)
-                body.repeats = planner_driver(vehicles, ads, guard, None, body.actions, rules=own)
+                body.repeats = planner_driver(
+                    vehicles, ads, guard, None, body.actions, rules=self.rules
+                )
         try:
             with guard:
                 # The simulator starts with these vehicles. Its states then replace the model's states in each tick.
-                simulation = Simulation(
-                    self.simulators, self._on_road.frame, vehicles, scenario.seed, guard
+                vehicles.loop.simulation = Simulation(
+                    self.simulators, self._on_road.frame, vehicles, guard
                 )
-                vehicles.loop.simulation = simulation
+        # The guard may raise an error even after the simulation has started.
         except BaseException:
             vehicles.close()
             raise
@@ -394,11 +412,21 @@ class SimulatorWorld(BaseWorld):
     def to_dict(self) -> dict[str, Any]:
         """Return the world as data for a corpus file, with the simulator's ``to_dict()`` as ``simulator``."""
         # The lanes, the speed limit and the tick rate are for the reader, and show whether the simulator has changed.
-        own: dict[str, Any] = {"lanes": self.road.lane_count, "speed_limit": self.road.speed_limit}
-        own |= {"physics_hz": self.physics_hz, "ads_hz": self.ads_hz, "duration": self.duration}
-        own |= {"clearance": self.clearance, "headway": self.headway, "limits": asdict(self.limits)}
-        own |= {"hang_limit": self.hang_limit, "simulator": self._stated.data}
-        return own if self.ego == CAR else {**own, "ego": self.ego.plain()}
+        data: dict[str, Any] = {
+            "lanes": self.road.lane_count,
+            "speed_limit": self.road.speed_limit,
+            "physics_hz": self.physics_hz,
+            "ads_hz": self.ads_hz,
+            "duration": self.duration,
+            "clearance": self.clearance,
+            "headway": self.headway,
+            "limits": asdict(self.limits),
+            "hang_limit": self.hang_limit,
+            "simulator": self._stated.data,
+        }
+        if self.ego != CAR:
+            data["ego"] = self.ego.plain()
+        return data
 
     @classmethod
     def from_dict(cls, simulator: type[Simulator], data: Mapping[str, Any]) -> SimulatorWorld:
@@ -407,23 +435,25 @@ class SimulatorWorld(BaseWorld):
         Raises:
             Exception: any exception that the class raises for data that it does not accept.
         """
-        given, stated = dict(data), ("lanes", "speed_limit", "physics_hz")
-        own = {name: given.pop(name) for name in stated}
-        if not isinstance(given["limits"], dict):
+        given = dict(data)
+        stated = {name: given.pop(name) for name in ("lanes", "speed_limit", "physics_hz")}
+        # A file from an untrusted source may contain anything here.
+        limits = given.pop("limits")
+        if not isinstance(limits, dict):
             raise WorldError(
-                field="world.data.limits",
-                expected="a mapping",
-                received=f"{given['limits']!r:.200}",
+                field="world.data.limits", expected="a mapping", received=f"{limits!r:.200}"
             )
-        world = cls(
-            partial(simulator, **given.pop("simulator")),
-            **{**given, "limits": NpcLimits(**given["limits"])},
-        )
+        made = partial(simulator, **given.pop("simulator"))
+        world = cls(made, limits=NpcLimits(**limits), **given)
         now = world.to_dict()
-        for name in stated:
-            if now[name] != own[name]:
-                field, expected = f"world.data.{name}", f"{now[name]!r:.200}, as in the simulator"
-                raise WorldError(field=field, expected=expected, received=f"{own[name]!r:.200}")
+        # A simulator that has changed since then would simulate other runs.
+        for name, value in stated.items():
+            if now[name] != value:
+                raise WorldError(
+                    field=f"world.data.{name}",
+                    expected=f"{now[name]!r:.200}, as in the simulator",
+                    received=f"{value!r:.200}",
+                )
         return world
 
 
@@ -457,7 +487,7 @@ class _Stated:
     start_at: float | None
     moves_ego_only: bool
     native: bool
-    obstacles: list[tuple[float, float, float, float, float]]
+    obstacles: list[FixedObject]
     data: dict[str, Any]
     count: int = 0
     lines: list[Any] | None = None
@@ -474,95 +504,88 @@ def _check_statements(simulator: Any) -> _Stated:
         WorldError: if a value cannot be used. The message names the attribute.
     """
     if not isinstance(simulator, Simulator):
-        expected, received = (
-            "a callable that creates a pafot.Simulator",
-            f"one that returned {simulator!r:.200}",
+        raise WorldError(
+            field="simulator",
+            expected="a callable that creates a pafot.Simulator",
+            received=f"one that returned {simulator!r:.200}",
         )
-        raise WorldError(field="simulator", expected=expected, received=received)
     name = type(simulator).__name__
+    # First of all, because a misspelt unit would make the values below look wrong.
     _check_names(type(simulator))
     # Units first, because the limits of other values depend on them.
-    metres = number_within(f"{name}.metres", simulator.metres, 1e-3, 1e4)
-    speed = number_within(f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3)
+    units = {
+        "metres": number_within(f"{name}.metres", simulator.metres, 1e-3, 1e4),
+        "metres_per_second": number_within(
+            f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3
+        ),
+    }
+
+    def refused(field: str, expected: str, value: object, fix: str = "") -> WorldError:
+        return WorldError(
+            field=f"{name}.{field}", expected=expected, received=f"{value!r:.100}", fix=fix
+        )
 
     def is_on(field: str) -> bool:
         value = getattr(simulator, field)
         if not isinstance(value, bool):
-            raise WorldError(
-                field=f"{name}.{field}", expected="True or False", received=f"{value!r:.100}"
-            )
+            raise refused(field, "True or False", value)
         return value
 
     def in_si(field: str, low: float, high: float, unit: str) -> float | None:
-        value, of = getattr(simulator, field), {"metres": metres, "metres_per_second": speed}[unit]
-        why = f" if {name}.{unit} is {of:.6g}"
-        return (
-            None
-            if value is None
-            else number_within(f"{name}.{field}", value, low / of, high / of, why) * of
-        )
+        value = getattr(simulator, field)
+        if value is None:
+            return None
+        size = units[unit]
+        why = f" if {name}.{unit} is {size:.6g}"
+        return number_within(f"{name}.{field}", value, low / size, high / size, why) * size
 
     def several(field: str, of: str) -> Sequence[Any]:
         # The letters of a string would count as entries, so a string is not accepted.
         value = getattr(simulator, field)
         if isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.ndim):
             return list(value)
-        raise WorldError(
-            field=f"{name}.{field}", expected=f"a list or tuple of {of}", received=f"{value!r:.100}"
-        )
+        raise refused(field, f"a list or tuple of {of}", value)
 
     for stated, known in (("headings", get_args(Headings)), ("reference", get_args(Reference))):
-        if getattr(simulator, stated) not in known:
-            expected, received = (
-                f"one of {', '.join(map(repr, known))}",
-                f"{getattr(simulator, stated)!r:.100}",
-            )
-            raise WorldError(field=f"{name}.{stated}", expected=expected, received=received)
-    offset, reference = simulator.rear_axle_offset, simulator.reference
-    if (offset is None) is (reference == "rear axle"):
+        value = getattr(simulator, stated)
+        if value not in known:
+            raise refused(stated, f"one of {', '.join(map(repr, known))}", value)
+    # The offset is required for the rear axle, and has no effect with other points of reference.
+    offset = simulator.rear_axle_offset
+    reference = simulator.reference
+    if offset is None and reference == "rear axle":
         expected = "the distance [m] from a vehicle's centre back to its rear axle, because reference = 'rear axle'"
         fix = "write, for example, rear_axle_offset = 1.4"
-        if offset is not None:
-            expected, fix = (
-                f"None, because reference = {reference!r}",
-                "remove it, or set reference = 'rear axle'",
-            )
-        raise WorldError(
-            field=f"{name}.rear_axle_offset",
-            expected=expected,
-            received=f"{offset!r:.100}",
-            fix=fix,
-        )
+        raise refused("rear_axle_offset", expected, offset, fix)
     if offset is not None:
+        if reference != "rear axle":
+            expected = f"None, because reference = {reference!r}"
+            fix = "remove it, or set reference = 'rear axle'"
+            raise refused("rear_axle_offset", expected, offset, fix)
         offset = number_within(f"{name}.rear_axle_offset", offset, 0.1, 20.0, " metres")
     for each in several("packages", "package names"):
         if not isinstance(each, str):
-            raise WorldError(
-                field=f"{name}.packages",
-                expected="package names, as strings",
-                received=f"{each!r:.100}",
-            )
+            raise refused("packages", "package names, as strings", each)
     # The data of a file must be JSON-compatible.
     data = plain_data(f"{name}.to_dict()", simulator.to_dict())
     if not isinstance(data, dict):
-        expected = "a dict with the arguments of the class"
-        raise WorldError(field=f"{name}.to_dict()", expected=expected, received=f"{data!r:.100}")
+        raise refused("to_dict()", "a dict with the arguments of the class", data)
     try:
         check_plain(f"{name}.to_dict()", data)
     except ValueError as error:
         raise WorldError(str(error)) from None
+    # The method of the base class would only fail during a run.
     if is_on("native") and type(simulator).observe is Simulator.observe:
-        fix = "write a method that returns the policy's input"
         raise WorldError(
             field=f"{name}.observe",
             expected="a method, because native is True",
             received="none",
-            fix=fix,
+            fix="write a method that returns the policy's input",
         )
     found = _Stated(
         maker=type(simulator),
-        metres=metres,
-        metres_per_second=speed,
+        metres=units["metres"],
+        metres_per_second=units["metres_per_second"],
         y_is_left=is_on("y_is_left"),
         degrees=is_on("degrees"),
         headings=simulator.headings,
@@ -588,11 +611,9 @@ def _check_statements(simulator: Any) -> _Stated:
         found.count = whole_within(f"{name}.lanes", simulator.lanes, 1, MOST_LANES)
     else:
         frame = Frame(found)
-        found.lines = [
-            _line(f"{name}.lanes[{n}]", line, frame)
-            for n, line in enumerate(several("lanes", "centre lines, or a number of lanes"))
-        ]
-        found.count = whole_within(f"len({name}.lanes)", len(found.lines), 1, MOST_LANES)
+        lines = several("lanes", "centre lines, or a number of lanes")
+        found.lines = [_line(f"{name}.lanes[{n}]", line, frame) for n, line in enumerate(lines)]
+        found.count = whole_within(f"len({name}.lanes)", len(lines), 1, MOST_LANES)
     whole_within(f"{name}.start_lane", found.start_lane, 0, found.count - 1)
     return found
 
@@ -604,9 +625,11 @@ def _hz(simulator: Simulator, name: str) -> float:
         dt = number_within(f"{name}.dt", dt, 1 / high, 1 / low, " seconds")
     hz = number_within(f"{name}.hz", simulator.hz, low, high)
     if dt is not None and abs(hz * dt - 1.0) > 1e-5:
-        fix = "set either dt or hz, or rename dt to _dt if it is your own attribute"
         raise WorldError(
-            field=f"{name}.dt", expected=f"1 / hz = {1 / hz:.6g} s", received=f"{dt:g} s", fix=fix
+            field=f"{name}.dt",
+            expected=f"1 / hz = {1 / hz:.6g} s",
+            received=f"{dt:g} s",
+            fix="set either dt or hz, or rename dt to _dt if it is your own attribute",
         )
     return whole_if_possible(hz)
 
@@ -618,67 +641,87 @@ def _check_names(cls: type[Simulator]) -> None:
         for each in cls.__mro__[:-1]
         if each is not Simulator and each.__module__ in sys.modules
     ]
-    stated = [
-        name
-        for each in classes
-        # attributes of other classes, such as a mixin, may have any name
-        if issubclass(each, Simulator)
-        for name, value in vars(each).items()
-        if not name.startswith("_")
-        and not hasattr(Simulator, name)
-        and isinstance(value, (int, float, str, list, tuple))
-    ]
-    for name in stated:
-        near = (
-            [OTHER_NAMES[name]]
-            if name in OTHER_NAMES
-            else difflib.get_close_matches(name, Simulator.__annotations__, n=1, cutoff=0.8)
-        )
-        try:
-            sources = (
-                {inspect.getsource(sys.modules[each.__module__]) for each in classes}
-                if near
-                else set()
-            )
-        except (OSError, TypeError):  # typed interactively, or compiled
-            continue
-        if (
-            near
-            and sum(len(re.findall(rf"\b{re.escape(name)}\b", source)) for source in sources) == 1
-        ):
-            raise WorldError(
-                field=f"{cls.__name__}.{name}",
-                expected="an attribute of pafot.Simulator",
-                received="an attribute without effect",
-                fix=f"write {near[0]}, or rename it to _{name} if it is your own attribute",
-            )
+    for each in classes:
+        if not issubclass(each, Simulator):
+            continue  # attributes of other classes, such as a mixin, may have any name
+        for name, value in vars(each).items():
+            is_own = not name.startswith("_") and not hasattr(Simulator, name)
+            if not is_own or not isinstance(value, (int, float, str, list, tuple)):
+                continue
+            near = difflib.get_close_matches(name, Simulator.__annotations__, n=1, cutoff=0.8)
+            meant = OTHER_NAMES.get(name, "".join(near))
+            # An attribute that the user's code reads somewhere is no mistake.
+            if meant and _uses(name, classes) == 1:
+                raise WorldError(
+                    field=f"{cls.__name__}.{name}",
+                    expected="an attribute of pafot.Simulator",
+                    received="an attribute without effect",
+                    fix=f"write {meant}, or rename it to _{name} if it is your own attribute",
+                )
+
+
+def _uses(name: str, classes: Sequence[type[Any]]) -> int:
+    """Return how often a name occurs in the modules of classes, or 0 without their source code."""
+    try:
+        sources = {inspect.getsource(sys.modules[each.__module__]) for each in classes}
+    except (OSError, TypeError):  # typed interactively, or compiled
+        return 0
+    return sum(len(re.findall(rf"\b{re.escape(name)}\b", source)) for source in sources)
+
+
+def _start_on(line: Any, at: float | None) -> tuple[float, float, float]:
+    """Return x [m], y [m] and heading [rad] on a centre line, at a position or with enough room behind it."""
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    lengths = np.concatenate(([0.0], np.cumsum(steps)))
+    if at is None:
+        at = min(ROOM_BEHIND, float(lengths[-1]) / 4)
+    # A metre further along the line gives the heading.
+    x, ahead_x = np.interp((at, at + 1), lengths, line[:, 0])
+    y, ahead_y = np.interp((at, at + 1), lengths, line[:, 1])
+    return x, y, math.atan2(ahead_y - y, ahead_x - x)
 
 
 def _line(place: str, given: Any, frame: Frame) -> Any:
     try:
         points = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
+        # Reported below, like all other values that are not points.
         points = np.empty(0)
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-        expected = "at least two points (x, y), in the direction of travel"
-        raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
+    is_line = points.ndim == 2 and points.shape[1] == 2 and len(points) >= 2
+    if not is_line or not np.isfinite(points).all():
+        raise WorldError(
+            field=place,
+            expected="at least two points (x, y), in the direction of travel",
+            received=f"{given!r:.200}",
+        )
+    # From here on in metres and in the axes of a run.
     line = np.array([frame.point(x, y) for x, y in points.tolist()])
     steps = np.hypot(*np.diff(line, axis=0).T)
     if steps.min() < 1e-3:
-        number = int(steps.argmin())
-        expected = "a point that is at least 1 mm from the previous point"
         raise WorldError(
-            field=f"{place}[{number + 1}]", expected=expected, received="a closer point"
+            field=f"{place}[{int(steps.argmin()) + 1}]",
+            expected="a point that is at least 1 mm from the previous point",
+            received="a closer point",
         )
     return line
 
 
-def _obstacle(place: str, given: Any) -> tuple[float, float, float, float, float]:
-    values = tuple(given) if isinstance(given, (tuple, list)) else ()
-    if len(values) != 5 or not all(
-        isinstance(each, (int, float)) and math.isfinite(each) for each in values
-    ):
-        expected = "five numbers: the x, y, heading, length and width of a fixed object"
-        raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
+def _obstacle(place: str, given: Any) -> FixedObject:
+    values: list[float] = []
+    if isinstance(given, (tuple, list)):
+        values = [each for each in given if isinstance(each, (int, float)) and math.isfinite(each)]
+    if len(values) != 5 or len(given) != 5:
+        raise WorldError(
+            field=place,
+            expected="five numbers: the x, y, heading, length and width of a fixed object",
+            received=f"{given!r:.200}",
+        )
     x, y, heading, length, width = map(float, values)
     return x, y, heading, length, width
+
+
+def whole_if_possible(rate: float) -> float:
+    """Return a rate as an int if, apart from rounding errors, it is a whole number."""
+    if abs(rate - round(rate)) < 1e-9 * rate:
+        return round(rate)
+    return rate

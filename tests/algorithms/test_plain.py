@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.algorithms.evaluation import Evaluation, Health
 from pytest_pafot.algorithms.plain import from_plain, plain
-from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake
-from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.attribution.responsibility import Fault, Manoeuvre, Mistake, Responsibility
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.sighting import Observed, Seen
 from pytest_pafot.findings.verdict import Signature, Verdict

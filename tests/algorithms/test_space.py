@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.algorithms.operators import mutate
 from pytest_pafot.algorithms.space import PATTERNS, SearchSpace, chain_of_patterns, repaired, sample
-from pytest_pafot.model.instructions import Cell, PositionInstruction, is_adjacent
+from pytest_pafot.model.instructions import Cell, Choices, PositionInstruction, is_adjacent
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import STYLES
 from tests.helpers.tables import table
@@ -183,7 +183,7 @@ def test_pattern_is_short_ring_path_with_a_source(pattern):
 def test_chain_of_patterns_stays_on_ring_within_bounds(
     genes, ego_speed, one_step, other_step, seed
 ):
-    bounds = min(one_step, other_step), max(one_step, other_step)
+    bounds = Choices(min(one_step, other_step), max(one_step, other_step))
     chain = chain_of_patterns(genes, ego_speed, bounds, np.random.default_rng(seed))
     assert len(chain) == genes
     assert all(is_adjacent(before.cell, after.cell) for before, after in pairwise(chain))
@@ -192,7 +192,7 @@ def test_chain_of_patterns_stays_on_ring_within_bounds(
 
 def test_patterns_use_both_sides_and_similar_speeds():
     rng = np.random.default_rng(1)
-    chains = [chain_of_patterns(6, 20.0, (0, 268), rng) for _ in range(300)]
+    chains = [chain_of_patterns(6, 20.0, Choices(0, 268), rng) for _ in range(300)]
     assert {chain[0].cell for chain in chains} == set(Cell)
     beside = [chain[0].speed for chain in chains if chain[0].cell in (Cell.LEFT, Cell.RIGHT)]
     assert 18.0 <= min(beside) < 19.0
@@ -201,5 +201,5 @@ def test_patterns_use_both_sides_and_similar_speeds():
 
 def test_a_leader_of_a_pattern_may_stand():
     rng = np.random.default_rng(1)
-    first = [chain_of_patterns(1, 20.0, (0, 268), rng)[0] for _ in range(1000)]
+    first = [chain_of_patterns(1, 20.0, Choices(0, 268), rng)[0] for _ in range(1000)]
     assert min(gene.speed for gene in first if gene.cell is Cell.FRONT) == 0.0

@@ -6,8 +6,15 @@ from typing import get_args
 import numpy as np
 
 from pytest_pafot import Highway, PositionInstruction, Run, Scenario
-from pytest_pafot.attribution.mistakes import BY_FAULT, manoeuvre_before, mistake
-from pytest_pafot.attribution.responsibility import NEXT_TO, Attribution, Fault, rss_rule
+from pytest_pafot.attribution.responsibility import (
+    BY_FAULT,
+    NEXT_TO,
+    Attribution,
+    Fault,
+    manoeuvre_before,
+    mistake,
+    rss_rule,
+)  # fmt: skip
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.trace import Outcome

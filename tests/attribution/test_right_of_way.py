@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, attribute_collision
-from pytest_pafot.attribution.responsibility import position_rule, rss_rule
+from pytest_pafot.attribution.responsibility import (
+    NOT_GIVEN_WAY,
+    attribute_collision,
+    position_rule,
+    rss_rule,
+)
 from pytest_pafot.model.trace import ALONG, Y
 from tests.helpers.junctions import hit, plan
 from tests.helpers.tables import table

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Cell, Highway, PositionInstruction, Run, Scenario
-from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
+from pytest_pafot.attribution.responsibility import attribute_collision, decide_contested
 from pytest_pafot.attribution.takeovers import drive, latest
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.support.errors import DriverError

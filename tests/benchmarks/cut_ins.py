@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.mistakes import attribute_collision, decide_contested
+from pytest_pafot.attribution.responsibility import attribute_collision, decide_contested
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Trace, X, Y
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.reference_drivers import CarefulHuman

@@ -33,7 +33,7 @@ IN_ONE_LANE = {
 }
 """Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {
-    "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
+    "Encounters", "Passage", "RoadFrame", "RssRules", "hardest_brake",
     "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration",
     "time_advantage",
 }  # fmt: skip
@@ -138,15 +138,15 @@ def test_first_drift_on_way_follows_the_heading_and_behind_it_there_is_none():
 
 def test_npc_off_the_way_is_in_no_cell():
     trace = mixed()
-    positions = Encounters(trace)
-    assert {positions.cell(0, tick) for tick in range(trace.ticks + 1)} == {None}
-    assert positions.last_cell(0, trace.ticks) is None
-    assert positions.cell(1, MERGED - 1) is None
-    assert positions.cell(1, MERGED) == positions.last_cell(1, trace.ticks) == Cell.FRONT
+    road, end, length = trace.road, trace.ticks, trace.sizes[0, 0]
+    assert {road.cell(0, tick, length) for tick in range(end + 1)} == {None}
+    assert road.last_cell(0, end, length) is None
+    assert road.cell(1, MERGED - 1, length) is None
+    assert road.cell(1, MERGED, length) == road.last_cell(1, end, length) == Cell.FRONT
     into_ego = junction_trace((MERGES, 0.0), ego_speed=16.0, seconds=4.6)
-    positions, tick = Encounters(into_ego), into_ego.ticks
-    assert abs(positions.ahead[0, -1]) < 2.5
-    assert positions.cell(0, tick) is positions.last_cell(0, tick) is None
+    road, end, length = into_ego.road, into_ego.ticks, into_ego.sizes[0, 0]
+    assert abs(road.ahead[0, -1]) < 2.5
+    assert road.cell(0, end, length) is road.last_cell(0, end, length) is None
 
 
 def test_leader_is_always_on_the_ego_way():

@@ -256,7 +256,7 @@ class TestRss:
 
 def test_a_run_has_a_duration_and_a_planned_one():
     trace = trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45))
-    assert criticality.execution_time(trace) == pytest.approx(3)
+    assert trace.duration == pytest.approx(3)
     assert criticality.planned_duration(trace_of(vehicle(0), vehicle(50))) == 60
 
 

@@ -37,7 +37,7 @@ def test_all_sources_agree_on_cell_in_a_bend():
     """The NPC is 2.64 m ahead along their circle, but only 2.2 m along the ego's way, which is inside it."""
     trace = approach(2.64)
     run = Run(trace)
-    assert Encounters(trace).ahead[0, -1] == pytest.approx(2.64, abs=0.01)
+    assert trace.road.ahead[0, -1] == pytest.approx(2.64, abs=0.01)
     assert trace.track[-1, 1, 0] - trace.track[-1, 0, 0] == pytest.approx(2.2, abs=0.01)
     assert run.event_cell == run.closest_approach.cell == run.worst_ttc.cell == Cell.FRONT
     assert view_of(trace).vehicles[1].cells[-1] == Cell.FRONT
@@ -45,10 +45,14 @@ def test_all_sources_agree_on_cell_in_a_bend():
 
 def test_npc_that_enters_ego_cell_has_its_cell_before():
     trace = approach(2.4)
-    positions = Encounters(trace)
-    assert positions.cell(0, trace.ticks) is None
+    positions = trace.road
+    assert positions.cell(0, trace.ticks, trace.sizes[0, 0]) is None
     assert view_of(trace).vehicles[1].cells[-1] == 0
-    assert Run(trace).closest_approach.cell == positions.last_cell(0, trace.ticks) == Cell.FRONT
+    assert (
+        Run(trace).closest_approach.cell
+        == positions.last_cell(0, trace.ticks, trace.sizes[0, 0])
+        == Cell.FRONT
+    )
 
 
 @given(

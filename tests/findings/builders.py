@@ -6,7 +6,7 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
+from pytest_pafot.attribution.responsibility import LANE_CHANGES, Manoeuvre
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.finding import (
     MAX_KEY,

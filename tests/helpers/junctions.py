@@ -16,7 +16,7 @@ import numpy as np
 from pytest_pafot import criticality
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, Lane, Outcome, X, Y
-from pytest_pafot.world.kernel.bodies import Box, side_hit
+from pytest_pafot.world.kernel.lanes import Box, side_hit
 from tests.helpers.traces import LANE_WIDTH, LENGTH, WIDTH, collision_at, trace_of
 
 HZ = 15

@@ -18,7 +18,7 @@ def limits(world, trace):
     is_standing = (speed[1:] <= ROUNDING) | (speed[:-1] <= ROUNDING)
     jerk = np.where(is_standing, 0.0, np.diff(acceleration, axis=0) / dt)
     turns = (np.diff(npcs[..., HEADING], axis=0) + np.pi) % (2 * np.pi) - np.pi
-    angle = trace.angles[:, 1:]
+    angle = trace.road.angles[:, 1:]
     angle = np.where([zone is None for zone in trace.zones or [None] * npcs.shape[1]], angle, 0.0)
     aside = speed[:-1] * turns / dt
     for npc, vehicle in enumerate(trace.scenario.all_vehicles):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pytest_pafot.model.trace import HEADING, SPEED, Trace, X, Y
-from pytest_pafot.world.kernel.bodies import Box, side_hit
+from pytest_pafot.world.kernel.lanes import Box, side_hit
 from tests.helpers import drives, junctions
 from tests.helpers.drives import HZ, bent, crash, merging
 from tests.helpers.junctions import plan

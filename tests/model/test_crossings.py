@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.crossings import APART, LENGTH, STEP
 from pytest_pafot.model.instructions import (
-    SLOTS,
     Cell,
     CrossingInstruction,
     LaneInstruction,
@@ -86,15 +85,6 @@ class TestInstructions:
     def test_what_is_wrong_is_refused_by_name(self, changes, field):
         with refused(field, ScenarioError):
             crosses(**changes)
-
-    @table(
-        ("slot", "name"),
-        [(-5, "well before"), (-1, "well before"), (-0.9, "just before"), (-0.1, "just before"), (0, "together"),
-         (0.1, "just after"), (0.9, "just after"), (1.0, "well after"), (5, "well after")],
-    )  # fmt: skip
-    def test_each_slot_is_one_of_five(self, slot, name):
-        assert crosses(slot=slot).interval == name
-        assert name in SLOTS
 
 
 KEEPS = LaneInstruction("keep", 1)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Cell, Run
-from pytest_pafot.criticality import Encounters
 from pytest_pafot.model.trace import Outcome
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.helpers.tables import table
@@ -45,13 +44,13 @@ def test_place_is_before_in_or_past_the_zone(where, start):
 def test_merged_npc_has_a_cell_after_its_zone():
     """It is on the ego's way from 4.1 s, and out of the zone at 5.4 s."""
     run = Run(junction_trace((MERGES, 0.0)))
-    encounters = Encounters(run.trace)
+    road, length = run.trace.road, run.trace.sizes[0, 0]
     for tick, zone in ((59, ZONES[MERGES]), (80, ZONES[MERGES]), (82, None)):
-        cell = encounters.cell(0, tick)
+        cell = road.cell(0, tick, length)
         moment = replace(run.closest_approach, tick=tick, cell=cell)
         assert run.zone_of(moment) == zone
         assert ("2 (front)" in run.place_of(moment)) is (zone is None)
-    assert encounters.cell(0, 80) == Cell.FRONT
+    assert road.cell(0, 80, length) == Cell.FRONT
 
 
 def test_moments_of_a_run_include_crossing_npcs():

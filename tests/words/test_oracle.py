@@ -12,7 +12,7 @@ from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.attribution.takeovers import sentence
 from pytest_pafot.model.instructions import ACTS, Cell, CrossingInstruction
 from pytest_pafot.model.trace import SPEED, Outcome, X
-from pytest_pafot.oracle.run import LINE_LENGTH, Run, crossing_text
+from pytest_pafot.oracle.run import LINE_LENGTH, Run
 from tests.attribution import test_responsibility as responsibility
 from tests.attribution import test_right_of_way as right_of_way
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
@@ -110,8 +110,8 @@ def test_explanations_at_junctions(snapshot):
     }
     zone, slots = ZONES[CROSSES], dict(zip(ACTS, (0.5, -1.0, 0.0, 5.0), strict=False))
     for act, slot in slots.items():
-        told[act] = crossing_text(CrossingInstruction(CROSSES, slot, 8.6, act), zone)
-    told["no zone"] = crossing_text(CrossingInstruction(CROSSES, 5.0, 8.6, "late"), None)
+        told[act] = CrossingInstruction(CROSSES, slot, 8.6, act).words_from(zone.whence)
+    told["no zone"] = CrossingInstruction(CROSSES, 5.0, 8.6, "late").words_from("")
     assert told == snapshot
 
 

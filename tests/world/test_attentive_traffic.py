@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pytest_pafot import Highway, LaneInstruction, NpcLimits, PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.model.vehicle_type import STYLES
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from tests.helpers.tables import table
 from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, constant_speed, random_scenario
 

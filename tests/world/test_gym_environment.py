@@ -43,8 +43,7 @@ from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Outcome
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import WorldError
-from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
-from pytest_pafot.world.limits import CONNECTED
+from pytest_pafot.world.gym_environment import CONNECTED, POLICY_OPTIONS, TRAFFIC_OPTIONS
 from tests.findings.builders import plain_finding
 from tests.helpers.gym_loop import Replayed, StateLog
 from tests.helpers.refusals import refused

@@ -7,8 +7,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, NpcLimits, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import SPEED, Outcome, X, Y
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver
+from pytest_pafot.world.kernel.lanes import Body
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
 from tests.helpers.world_cases import (

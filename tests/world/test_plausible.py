@@ -17,7 +17,7 @@ from pytest_pafot.algorithms.space import SearchSpace, sample
 from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import SPEED, SURVIVES, Outcome, first_difference
 from pytest_pafot.world.engines.episode import drive_episode
-from pytest_pafot.world.plausible import Implausible, Plausibility
+from pytest_pafot.world.engines.run import Implausible, Plausibility
 from tests.helpers.refusals import refused
 from tests.helpers.tables import table
 from tests.world.test_simulator import Bicycle, Late

@@ -12,8 +12,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario, World, criticality
 from pytest_pafot.model.instructions import cell_at
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
+from pytest_pafot.world.engines.run import starts_of
 from pytest_pafot.world.limits import BEND_SHARE
-from pytest_pafot.world.run_config import starts_of
 from tests.helpers.tables import table
 from tests.helpers.world_cases import LENGTH, WIDTH, constant_speed, random_scenario
 

@@ -86,13 +86,13 @@ class Evaluated:
             for name, value in evaluation.values
             if value != name and (name, value) != (text, evaluation.outcome)
         ]
-        values = f"  ({', '.join(told)})" if told else ""
+        values = ""
+        if told:
+            values = f"  ({', '.join(told)})"
         row = f"{self.condition}{values} -> {evaluation.outcome}"
-        return (
-            row
-            if len(row) <= LONGEST
-            else f"{place}: condition of {len(text)} characters -> {evaluation.outcome}"
-        )
+        if len(row) <= LONGEST:
+            return row
+        return f"{place}: condition of {len(text)} characters -> {evaluation.outcome}"
 
 
 def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> set[int]:
@@ -100,17 +100,21 @@ def differing_numbers(evaluated: Iterable[Evaluated], others: Iterable[Evaluated
 
     The comparison stops where the two decisions evaluate different conditions.
     """
-    here, there = (
-        sorted((first, each.condition) for each in conditions for first in each.first)
-        for conditions in (evaluated, others)
-    )
     found = set()
-    for (own, condition), (other, its) in zip(here, there, strict=False):
+    for (own, condition), (other, its) in zip(
+        _in_order(evaluated),
+        _in_order(others),
+        strict=False,
+    ):
         if condition != its:
             break
         if (own.outcome, own.exact) != (other.outcome, other.exact):
             found.add(own.number)
     return found
+
+
+def _in_order(conditions: Iterable[Evaluated]) -> list[tuple[Evaluation, str]]:
+    return sorted((first, each.condition) for each in conditions for first in each.first)
 
 
 Whom = Mapping[int, tuple[int, ...]]
@@ -145,24 +149,21 @@ def parting(
         whom: the NPCs on which the evaluations depend.
     """
     otherwise = {each.condition: each.first for each in others}
+    moved: tuple[int, ...] = ()
+    if npc is not None:
+        moved = (npc,)
     found: list[tuple[int, str, Parted]] = []
     for each in evaluated:
         for here, there in zip(each.first, otherwise.get(each.condition, ()), strict=False):
-            is_same = here.outcome == there.outcome
+            ending = f"; {when} {there.outcome}"
+            if here.outcome == there.outcome:
+                if is_other or here.values == there.values:
+                    continue
+                ending = f"; also {when}"
             # Also skip differences that exist only because a loop reaches the same vehicle earlier or later.
-            if (is_same and (is_other or here.values == there.values)) or npc not in whom.get(
-                here.number, (npc,)
-            ):
-                continue
-            ending = f"also {when}" if is_same else f"{when} {there.outcome}"
-            found.append(
-                (
-                    here.number,
-                    each.condition,
-                    Parted(here, f"; {ending}", () if npc is None else (npc,)),
-                )
-            )
-            break
+            if npc in whom.get(here.number, (npc,)):
+                found.append((here.number, each.condition, Parted(here, ending, moved)))
+                break
     # If the action differs, the first difference causes the later differences.
     ordered = sorted(found, reverse=not is_other)[:PARTING]
     return {condition: row for _, condition, row in ordered}
@@ -191,22 +192,28 @@ def group_conditions(
     def add(
         each: Evaluated, evaluation: Evaluation, ending: str = "", unless: tuple[int, ...] = ()
     ) -> None:
-        about = None if whom is None else whom.get(evaluation.number, unless)
-        rows.setdefault(about, {}).setdefault(
-            each.condition, visible(f"{each.row(evaluation)}{ending}")
-        )
+        about = None
+        if whom is not None:
+            about = whom.get(evaluation.number, unless)
+        row = visible(f"{each.row(evaluation)}{ending}")
+        rows.setdefault(about, {}).setdefault(each.condition, row)
 
     # first the rows of `first`, then the other rows
     conditions = {each.condition: each for each in evaluated}
     for condition, parted in first.items():
         add(conditions.pop(condition), *parted)
     for each in conditions.values():
-        own = [] if whom is None else [one for one in each.first if npc in whom.get(one.number, ())]
-        for evaluation in ([_rarest(own)] if own else []) + [each.last]:
-            add(each, evaluation)
-    order = sorted(
-        rows, key=lambda about: (about is not None and npc not in about, bool(about), about or ())
-    )
+        if whom is not None:
+            own = [one for one in each.first if npc in whom.get(one.number, ())]
+            if own:
+                add(each, _rarest(own))
+        add(each, each.last)
+
+    def place(about: tuple[int, ...] | None) -> tuple[bool, tuple[int, ...]]:
+        # rows on the NPC come first, then rows on nobody, then the rows on other NPCs
+        return about is not None and npc not in about, about or ()
+
+    order = sorted(rows, key=place)
     return tuple((_name(about), tuple(rows[about].values())) for about in order)
 
 
@@ -216,7 +223,9 @@ def _rarest(evaluations: Sequence[Evaluation]) -> Evaluation:
 
 
 def _name(about: tuple[int, ...] | None) -> str:
-    return "" if about is None else ", ".join(f"NPC {npc}" for npc in about) or NOBODY
+    if about is None:
+        return ""
+    return ", ".join(f"NPC {npc}" for npc in about) or NOBODY
 
 
 class Conditions:
@@ -227,12 +236,15 @@ class Conditions:
     """
 
     def __init__(self, files: Iterable[Path], root: Path) -> None:
-        root, self._recorder = root.resolve(), _Recorder()
+        root = root.resolve()
+        self._recorder = _Recorder()
         self._copies: dict[str, dict[CodeType, CodeType]] = {}  # by file
         self._real: dict[str, str] = {}
         sources = [file for file in files if file.suffix == ".py" and file.is_relative_to(root)]
         for file in sources:
-            place = f"{file.relative_to(root).as_posix()} " if len(sources) > 1 else ""
+            place = ""
+            if len(sources) > 1:
+                place = f"{file.relative_to(root).as_posix()} "
             with (
                 suppress(OSError, SyntaxError, ValueError, RecursionError),
                 warnings.catch_warnings(),
@@ -297,13 +309,17 @@ class Conditions:
         file = self._real.get(code.co_filename)
         if file is None:
             file = self._real[code.co_filename] = str(Path(code.co_filename).resolve())
-        return self._copies[file].get(code) if file in self._copies else None
+        if file in self._copies:
+            return self._copies[file].get(code)
+        return None
 
     def _with_recorder(self, code: CodeType) -> CodeType:
         def put(const: Any) -> Any:
             if type(const) is CodeType:
                 return self._with_recorder(const)
-            return self._recorder if type(const) is str and const == _RECORDER else const
+            if type(const) is str and const == _RECORDER:
+                return self._recorder
+            return const
 
         return code.replace(co_consts=tuple(map(put, code.co_consts)))
 
@@ -312,9 +328,10 @@ def _pairs(plain: CodeType, marked: CodeType) -> Iterator[tuple[CodeType, CodeTy
     inner, copies = (
         [each for each in code.co_consts if type(each) is CodeType] for code in (plain, marked)
     )
-    if [(each.co_name, each.co_freevars) for each in inner] == [
-        (each.co_name, each.co_freevars) for each in copies
-    ]:
+    names, copied_names = (
+        [(each.co_name, each.co_freevars) for each in codes] for codes in (inner, copies)
+    )
+    if names == copied_names:
         for each, copy in zip(inner, copies, strict=True):
             yield each, copy
             yield from _pairs(each, copy)
@@ -330,19 +347,21 @@ class _Marking(ast.NodeTransformer):
         name = _TESTS.get(type(node))
         if name is not None:
             tests = getattr(node, name)
-            setattr(node, name, [] if isinstance(tests, list) else None)
-            self.generic_visit(node)
-            marked = [
-                self._condition(each, is_test=True)
-                for each in (tests if isinstance(tests, list) else [tests])
-            ]
-            setattr(node, name, marked if isinstance(tests, list) else marked[0])
+            marked: Any
+            # without its tests, which `_condition` visits
+            if isinstance(tests, list):
+                setattr(node, name, [])
+                self.generic_visit(node)
+                marked = [self._condition(each, is_test=True) for each in tests]
+            else:
+                setattr(node, name, None)
+                self.generic_visit(node)
+                marked = self._condition(tests, is_test=True)
+            setattr(node, name, marked)
             return node
-        return (
-            self._condition(node)
-            if isinstance(node, (ast.Compare, ast.BoolOp))
-            else self.generic_visit(node)
-        )
+        if isinstance(node, (ast.Compare, ast.BoolOp)):
+            return self._condition(node)
+        return self.generic_visit(node)
 
     def _condition(self, node: Any, *, is_test: bool = False) -> Any:
         if node is None or isinstance(node, ast.Constant):  # a case without a guard; `while True`
@@ -359,15 +378,19 @@ class _Values(ast.NodeTransformer):
     """A transformer that replaces names, attributes, items and calls in a condition with calls to the recorder."""
 
     def __init__(self, marking: _Marking, condition: ast.Constant) -> None:
-        self._marking, self._condition = marking, condition
+        self._marking = marking
+        self._condition = condition
 
     def visit(self, node: Any) -> Any:
         if isinstance(node, (ast.Name, ast.Attribute, ast.Subscript, ast.Call, ast.NamedExpr)):
-            text = ast.Constant(
-                ast.unparse(node.target if isinstance(node, ast.NamedExpr) else node)
-            )
+            named = node
+            if isinstance(node, ast.NamedExpr):
+                named = node.target
+            text = ast.Constant(ast.unparse(named))
             return _called("value", node, self._condition, text, self._marking.generic_visit(node))
-        return (self._marking.visit if isinstance(node, _OTHERS) else self.generic_visit)(node)
+        if isinstance(node, _OTHERS):
+            return self._marking.visit(node)
+        return self.generic_visit(node)
 
 
 def _called(method: str, place: Any, *arguments: Any) -> Any:
@@ -401,23 +424,25 @@ class _Recorder:
         return value
 
     def end(self, condition: str, since: int, value: Any) -> Any:
-        if self.thread == get_ident():
-            values = {
-                text: value for whose, text, value in self._values[since:] if whose == condition
-            }
-            del self._values[since:]
-            if type(_plain(value)) in _SIMPLE:
-                texts = tuple((text, _text(each)) for text, each in values.items())
-                evaluation = Evaluation(
-                    next(self._numbers), _text(value), texts, tuple(map(_exact, values.values()))
-                )
-                if len(first := self._first.setdefault(condition, [])) < FIRST:
-                    first.append(evaluation)
-                outcomes = self._outcomes.pop(condition, {})
-                times, _ = outcomes.pop(evaluation.outcome, (0, None))
-                outcomes[evaluation.outcome] = times + 1, evaluation
-                # at the end, because this condition was evaluated last
-                self._outcomes[condition] = outcomes
+        if self.thread != get_ident():
+            return value
+        values = {text: each for whose, text, each in self._values[since:] if whose == condition}
+        del self._values[since:]
+        if type(_plain(value)) in _SIMPLE:
+            evaluation = Evaluation(
+                next(self._numbers),
+                _text(value),
+                tuple((text, _text(each)) for text, each in values.items()),
+                tuple(map(_exact, values.values())),
+            )
+            first = self._first.setdefault(condition, [])
+            if len(first) < FIRST:
+                first.append(evaluation)
+            outcomes = self._outcomes.pop(condition, {})
+            times, _ = outcomes.pop(evaluation.outcome, (0, None))
+            outcomes[evaluation.outcome] = times + 1, evaluation
+            # at the end, because this condition was evaluated last
+            self._outcomes[condition] = outcomes
         return value
 
     def evaluated(self) -> list[Evaluated]:
@@ -432,10 +457,13 @@ class _Recorder:
 
 
 def _text(value: Any) -> str:
-    kind, value = type(value), _plain(value)
+    kind = type(value)
+    value = _plain(value)
     if type(value) is float:
         is_plain = value == 0 or 1e-3 <= abs(value) < 1e6
-        return f"{value:.3f}".rstrip("0").rstrip(".") if is_plain else f"{value:.3g}"
+        if is_plain:
+            return f"{value:.3f}".rstrip("0").rstrip(".")
+        return f"{value:.3g}"
     if type(value) is str:
         return repr(_cut(value, 20))
     if type(value) in _SIMPLE and not (type(value) is int and value.bit_length() > 64):
@@ -444,35 +472,44 @@ def _text(value: Any) -> str:
         return f"{kind.__name__}.{value._name_}"
     if kind in (list, tuple, set, frozenset, dict, deque):
         return f"{kind.__name__} of {len(value)}"
-    return f"array of shape {value.shape}" if kind is np.ndarray else kind.__name__
+    if kind is np.ndarray:
+        return f"array of shape {value.shape}"
+    return kind.__name__
 
 
 def _exact(value: Any, depth: int = 2) -> str:
-    kind, plain = type(value), _plain(value)
+    kind = type(value)
+    plain = _plain(value)
     if type(plain) in _SIMPLE:
-        return _text(plain) if type(plain) is int else repr(plain)
+        if type(plain) is int:
+            return _text(plain)
+        return repr(plain)
     if kind is np.ndarray:
-        return (
-            repr(value.tobytes())
-            if value.dtype.kind in "biuf" and value.size <= LOOKED_AT**2
-            else _text(value)
-        )
+        if value.dtype.kind in "biuf" and value.size <= LOOKED_AT**2:
+            return repr(value.tobytes())
+        return _text(value)
     inner: Iterable[Any] = ()
     if issubclass(kind, tuple):
         inner = tuple.__iter__(value)
     elif issubclass(kind, list):
         inner = list.__iter__(value)
     else:
-        own = next(
-            (vars(each)["__dict__"] for each in kind.__mro__ if "__dict__" in vars(each)), None
-        )
-        inner = own.__get__(value).values() if type(own) is GetSetDescriptorType else ()
-    return f"{_text(value)} {[_exact(each, depth - 1) for each in islice(inner, LOOKED_AT)] if depth else ''}"
+        held = (vars(each)["__dict__"] for each in kind.__mro__ if "__dict__" in vars(each))
+        own = next(held, None)
+        if type(own) is GetSetDescriptorType:
+            inner = own.__get__(value).values()
+    if not depth:
+        return f"{_text(value)} "
+    return f"{_text(value)} {[_exact(each, depth - 1) for each in islice(inner, LOOKED_AT)]}"
 
 
 def _plain(value: Any) -> Any:
-    return value.item() if issubclass(type(value), np.generic) else value
+    if issubclass(type(value), np.generic):
+        return value.item()
+    return value
 
 
 def _cut(text: str, most: int) -> str:
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+    if len(text) <= most:
+        return text
+    return f"{text[: most - 3]}..."

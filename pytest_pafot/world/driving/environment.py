@@ -29,14 +29,14 @@ from pytest_pafot.world.driving.vehicles import (
     TrafficClass,
     compiled_network,
     is_regulated,
+    state_of,
 )
+from pytest_pafot.world.engines.run import Plausibility
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.action import hint_at
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import FEATURES, Network, Table
+from pytest_pafot.world.kernel.lanes import Body, Places
 from pytest_pafot.world.kernel.loop import EgoDriver
-from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.plausible import Plausibility
 from pytest_pafot.world.roads.road import Pose, StraightRoad
 from pytest_pafot.world.roads.road import Road as RoadOfGrid
 from pytest_pafot.world.stock import (
@@ -56,7 +56,8 @@ def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
     """
     if isinstance(space, (spaces.Discrete, spaces.Box)):
         return
-    expected, received = "a discrete or continuous action space for one vehicle", str(space)
+    expected = "a discrete or continuous action space for one vehicle"
+    received = str(space)
     if wrappers:
         received = f"{received} from {', '.join(wrappers)}"
         fix = "make the wrappers' action_space a Discrete or a Box"
@@ -81,13 +82,11 @@ def checked_action(action: Any, space: Any) -> Any:
     except (TypeError, ValueError):  # such as rows of different lengths
         raise _bad(expected, action) from None
     if is_choice:
-        if (
-            given.size != 1
-            or given.dtype.kind not in "iu"
-            or not space.contains(int(given.reshape(())))
-        ):
-            raise _bad(expected, action, _hint_at_choice(given, space))
-        return int(given.reshape(()))
+        if given.size == 1 and given.dtype.kind in "iu":
+            choice = int(given.reshape(()))
+            if space.contains(choice):
+                return choice
+        raise _bad(expected, action, _hint_at_choice(given, space))
     if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
         raise _bad(expected, action)
     # a copy: the ADS may reuse its array
@@ -96,18 +95,23 @@ def checked_action(action: Any, space: Any) -> Any:
 
 def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
     hint = hint_at(action) or hint
-    return BadAction(f"{expected}, received {safe_repr(action)}{f'; {hint}' if hint else ''}")
+    message = f"{expected}, received {safe_repr(action)}"
+    if hint:
+        message = f"{message}; {hint}"
+    return BadAction(message)
 
 
 def _hint_at_choice(array: Any, space: Any) -> str:
-    if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
+    if array.dtype.kind != "f":
+        return ""
+    if array.shape == (2,) and space.n != 2:
         return (
             "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5); for a command, write "
             "@planner after the name"
         )
-    if array.dtype.kind == "f" and array.size == space.n:
+    if array.size == space.n:
         return "if these are values of the actions, return the number of the largest: `int(np.argmax(...))`"
-    if array.dtype.kind == "f" and array.size == 1:
+    if array.size == 1:
         return "return `int(...)` of it"
     return ""
 
@@ -134,7 +138,8 @@ class View:
         self.show(0)
 
     def show(self, tick: int) -> None:
-        source, env = self._run_env, self.env
+        source = self._run_env
+        env = self.env
         road = Road(
             source.road.network,
             np_random=rng_of(tick),
@@ -155,7 +160,9 @@ class View:
         env.road = road
         env.controlled_vehicles = [ego]
         env.np_random = road.np_random
-        env.steps, env.time, env.done = source.steps, source.time, False
+        env.steps = source.steps
+        env.time = source.time
+        env.done = False
         env.define_spaces()
         env.action_space.seed(tick)  # planners sample from it
         env.observation_space.seed(tick)
@@ -182,8 +189,12 @@ OF_THE_ROAD = (
 def observer(env: Any) -> Any:
     """Return a function that computes an environment's observation, faster than the environment itself if possible."""
     stock = env.observation_type
-    network = compiled_network(env.road.network) if _is_fit(stock) else None
-    return _slow(stock) if network is None else FastTable(env, stock, network)
+    network = None
+    if _is_fit(stock):
+        network = compiled_network(env.road.network)
+    if network is None:
+        return _slow(stock)
+    return FastTable(env, stock, network)
 
 
 def observe_by(env: Any, observe: Callable[[], Any]) -> None:
@@ -209,7 +220,8 @@ def hide(env: Any, npc: int) -> Callable[[], Any]:
         raise WorldError(field="config.observation", expected=expected, received=kinds[0])
 
     def observe() -> Any:
-        road, vehicles = env.road, env.road.vehicles
+        road = env.road
+        vehicles = road.vehicles
         hidden = [each for each in vehicles if each is not env.vehicle][npc]
         road.vehicles = [each for each in vehicles if each is not hidden]
         try:
@@ -249,7 +261,10 @@ class FastTable:
         return of_lanes.isdisjoint(self._stock.features) and _is_plain(traffic, Vehicle)
 
     def __call__(self) -> Any:
-        road, stock, exit_lane, objects = self._env.road, self._stock, -1, []
+        road = self._env.road
+        stock = self._stock
+        exit_lane = -1
+        objects: list[Any] = []
         if not road or road.network is not self._roads:
             return self._slowly()
         if type(stock) is observation.ExitObservation:
@@ -257,20 +272,19 @@ class FastTable:
         elif stock.include_obstacles:
             objects = road.objects
         ego = stock.observer_vehicle
-        is_plain = (  # classes that override these members need highway-env's function
-            all(_is_plain(kind, Vehicle) for kind in {type(ego), *map(type, road.vehicles)})
-            and _is_plain(road.__class__, Road)
-            and all(_is_plain(each.__class__, RoadObject) for each in objects)
-        )
-        if is_plain:
-            try:
-                return self._table.observe(
-                    ego, road.vehicles, objects, self._env.PERCEPTION_DISTANCE, exit_lane
-                )
-            # a lane that is not on the road, or an empty features_range
-            except (LookupError, ZeroDivisionError):
-                pass
-        return self._slowly()
+        # classes that override these members need highway-env's function
+        if (
+            not _is_plain(road.__class__, Road)
+            or not all(_is_plain(kind, Vehicle) for kind in {type(ego), *map(type, road.vehicles)})
+            or not all(_is_plain(each.__class__, RoadObject) for each in objects)
+        ):
+            return self._slowly()
+        reach = self._env.PERCEPTION_DISTANCE
+        try:
+            return self._table.observe(ego, road.vehicles, objects, reach, exit_lane)
+        # a lane that is not on the road, or an empty features_range
+        except (LookupError, ZeroDivisionError):
+            return self._slowly()
 
     @cached_property
     def _table(self) -> Table:
@@ -278,15 +292,17 @@ class FastTable:
         # as highway-env does at the first observation
         if stock.normalize and not stock.features_range:
             lanes = len(self._roads.all_side_lanes(stock.observer_vehicle.lane_index))
-            ends = (
-                5.0 * Vehicle.MAX_SPEED,
-                AbstractLane.DEFAULT_WIDTH * lanes,
-                *(2 * Vehicle.MAX_SPEED,) * 2,
-            )
-            stock.features_range = {
-                name: [-end, end] for name, end in zip(("x", "y", "vx", "vy"), ends, strict=True)
+            fastest = 2 * Vehicle.MAX_SPEED
+            ends = {
+                "x": 5.0 * Vehicle.MAX_SPEED,
+                "y": AbstractLane.DEFAULT_WIDTH * lanes,
+                "vx": fastest,
+                "vy": fastest,
             }
-        ranges = stock.features_range if stock.normalize else {}
+            stock.features_range = {name: [-end, end] for name, end in ends.items()}
+        ranges = stock.features_range
+        if not stock.normalize:
+            ranges = {}
         return Table(self._network, self._lanes, stock, ranges)
 
 
@@ -296,9 +312,9 @@ def _slow(stock: Any) -> Any:
 
 @lru_cache(maxsize=1000)
 def _is_plain(kind: Any, base: Any) -> bool:
-    return issubclass(kind, base) and all(
-        getattr(kind, name) is getattr(base, name) for name in _REPLACED[base]
-    )
+    if not issubclass(kind, base):
+        return False
+    return all(getattr(kind, name) is getattr(base, name) for name in _REPLACED[base])
 
 
 class GuardedDriver(EgoDriver):
@@ -351,7 +367,9 @@ class ObjectDriver(GuardedDriver):
         self.road = road  # highway-env's; the vehicle's own `road` may be the user's
         self._class = traffic or TrafficClass(StockVehicle)  # by default NPCs have no goals
         self.traffic: Any = None  # on the road after `show`, if it is called
-        self._regulated = road if isinstance(road, EgosRegulatedRoad) else None
+        self._regulated = None
+        if isinstance(road, EgosRegulatedRoad):
+            self._regulated = road
         self._plausibility: Plausibility | None = None
         self._tick = 0
 
@@ -377,7 +395,8 @@ class ObjectDriver(GuardedDriver):
             Implausible: if the vehicle moves in an impossible way.
         """
         self._tick += 1
-        guard, ego = self.guard, self.ego
+        guard = self.guard
+        ego = self.ego
         if self._plausibility is None:
             self._plausibility = Plausibility([(ego.x, ego.y, ego.heading, ego.speed)], dt)
         try:
@@ -393,7 +412,8 @@ class ObjectDriver(GuardedDriver):
             guard.raise_swallowed()
         except UNFIT as error:
             return error_of(error, self._tick - 1, guard)
-        state, name = (ego.x, ego.y, ego.heading, ego.speed), type(self.vehicle).__name__
+        state = (ego.x, ego.y, ego.heading, ego.speed)
+        name = type(self.vehicle).__name__
         self._plausibility.check([state], f"{name}.step", [ego.acceleration])
         return None
 
@@ -418,7 +438,10 @@ class PolicyDriver(ObjectDriver):
         super().__init__(env.vehicle, env.road, guard, every, ego, traffic)
         self.env = env
         self._ads = ads
-        self._observe = hide(env, ads.npc) if isinstance(ads, Unseeing) else observer(env)
+        if isinstance(ads, Unseeing):
+            self._observe = hide(env, ads.npc)
+        else:
+            self._observe = observer(env)
         self._view = view
         self.reads_poses_alone = False  # true if a decision needs no lanes or targets of the NPCs
 
@@ -463,10 +486,8 @@ class ModelPolicyDriver(PolicyDriver):
         self._model = self._compiled.vehicle(env.vehicle)
         super().__init__(ads, env, guard, every, traffic, view, self._model)
         is_stock = type(env.action_type).__module__.startswith("highway_env.")
-        is_fast = isinstance(self._observe, FastTable) and self._observe.reads_poses_alone(
-            traffic.seen
-        )
-        self.reads_poses_alone = is_stock and is_fast
+        if is_stock and isinstance(self._observe, FastTable):
+            self.reads_poses_alone = self._observe.reads_poses_alone(traffic.seen)
 
     def show_all(self, *, is_lean: bool = False) -> None:
         self._compiled.show(self.vehicle, self._model)
@@ -498,17 +519,14 @@ def follow(body: Body, vehicle: Any) -> None:
     Raises:
         BadAction: if the state is not finite.
     """
-    x, y = vehicle.position
-    state = float(x), float(y), float(vehicle.heading), float(vehicle.speed)
+    state = state_of(vehicle)
     if not all(map(math.isfinite, state)):
         raise BadAction(
             f"expected a vehicle with a finite position, heading and speed, received {state}"
         )
     body.place(*state)
-    body.acceleration, body.steering = (
-        float(vehicle.action["acceleration"]),
-        float(vehicle.action["steering"]),
-    )
+    body.acceleration = float(vehicle.action["acceleration"])
+    body.steering = float(vehicle.action["steering"])
 
 
 def foresee(npcs: Sequence[Any], places: Places, road: RoadOfGrid) -> None:

@@ -35,7 +35,9 @@ The callable can have these members: ``check_world(world)`` raises an error if i
 
 def is_vehicle_class(candidate: object) -> bool:
     """Return whether an object is a highway-env vehicle class or a ``functools.partial`` of a vehicle class."""
-    inner = candidate.func if isinstance(candidate, functools.partial) else candidate
+    inner = candidate
+    if isinstance(candidate, functools.partial):
+        inner = candidate.func
     # imported wherever a vehicle class exists
     kinematics = sys.modules.get("highway_env.vehicle.kinematics")
     return (
@@ -85,9 +87,11 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     hint = hint_at_object(ads) or (
         "A factory returns an ADS, not an action. Write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
     )
+    if ads is None:
+        hint = "Is a `return` missing?"
     raise AdsFactoryError(
         "ads: expected the factory to return a callable `observation -> action` or a highway-env vehicle class, "
-        f"received {safe_repr(ads)}. {'Is a `return` missing?' if ads is None else hint}"
+        f"received {safe_repr(ads)}. {hint}"
     )
 
 
@@ -124,20 +128,15 @@ def hint_at_object(given: Any) -> str:
         return (
             f"Pass the class itself, `{name}`, without calling it. Each run makes its own vehicle"
         )
-    method = next(
-        (
-            name
-            for name in ("predict", "act", "decide", "step")
-            if callable(getattr(given, name, None))
-        ),
-        "",
-    )
-    if not method:
-        return ""
-    example = f", {PREDICTING}" if method == "predict" else ""
-    return (
-        f"It has a method {method!r}. Return a function that calls it with the observation{example}"
-    )
+    for method in ("predict", "act", "decide", "step"):
+        if callable(getattr(given, method, None)):
+            hint = (
+                f"It has a method {method!r}. Return a function that calls it with the observation"
+            )
+            if method == "predict":
+                hint = f"{hint}, {PREDICTING}"
+            return hint
+    return ""
 
 
 def takes_nothing(factory: AdsFactory) -> bool:
@@ -159,7 +158,9 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
     try:
         signature.bind(**arguments)
     except TypeError as error:
-        given = "with env=<environment>" if arguments else "without arguments"
+        given = "without arguments"
+        if arguments:
+            given = "with env=<environment>"
         inner = inspect.unwrap(factory)
         if isinstance(inner, type):
             hint = f"Wrap the call in a function that passes the arguments, such as `lambda: {inner.__name__}(...)`"
@@ -227,7 +228,9 @@ class Perception(Sight):
             fix = "pass a function or class that returns an ADS, as in `pafot.Perception(MyPlanner, latency=0.3)`"
         if fix:
             raise refused_policy(
-                "a factory that returns a new ADS for each scenario", safe_repr(self.ads), fix
+                "a factory that returns a new ADS for each scenario",
+                safe_repr(self.ads),
+                fix,
             )
 
     @property
@@ -259,10 +262,8 @@ class SeeingAds:
 
     def __call__(self, *_: Any) -> Any:
         expected = "pafot.Highway or pafot.World for an ADS in a pafot.Perception"
-        received, fix = (
-            "a world that calls the ADS directly",
-            "implement the imperfect perception in that world",
-        )
+        received = "a world that calls the ADS directly"
+        fix = "implement the imperfect perception in that world"
         raise WorldError(field="world", expected=expected, received=received, fix=fix)
 
     @property
@@ -274,18 +275,24 @@ def rewrap_ads(ads: Any, wrap: Callable[[Any], Any]) -> Any:
     """Wrap an ADS, and keep its perception."""
     if is_vehicle_class(ads):
         raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
-    return replace(ads, ads=wrap(ads.ads)) if isinstance(ads, SeeingAds) else wrap(ads)
+    if isinstance(ads, SeeingAds):
+        return replace(ads, ads=wrap(ads.ads))
+    return wrap(ads)
 
 
 def ads_and_sight(ads: Any) -> tuple[Any, Sight | None]:
     """Return the ADS that receives observations, and its perception, or None if its perception is perfect."""
-    return (ads.ads, ads.sight) if isinstance(ads, SeeingAds) else (ads, None)
+    if isinstance(ads, SeeingAds):
+        return ads.ads, ads.sight
+    return ads, None
 
 
 def sight_of(factory: Any) -> Sight | None:
     """Return the perception of a factory's ADSs, or None if their perception is perfect."""
     factory = inspect.unwrap(factory, stop=lambda each: isinstance(each, Perception))
-    return factory.sight if isinstance(factory, Perception) and factory.imperfections else None
+    if isinstance(factory, Perception) and factory.imperfections:
+        return factory.sight
+    return None
 
 
 class ImperfectSensor(Sensor):
@@ -293,21 +300,23 @@ class ImperfectSensor(Sensor):
 
     def __init__(self, sensor: Observer, sight: Sight, seed: int) -> None:
         super().__init__()
-        self._sensor, self._sight, self._seed = sensor, sight, seed
+        self._sensor = sensor
+        self._sight = sight
+        self._seed = seed
 
     def observation(self, tick: int) -> Observation:
         exact = self._sensor
         # The state of the ego is current, but the states of other vehicles are as old as the latency.
-        now, then = (
-            exact.observation(each)
-            for each in (tick, max(0, tick - self._sight.delay(exact.physics_hz)))
-        )
-        others, ids, lateral = [], [], [now.lateral_velocities[0]]
-        for npc, error_x, error_y, error_speed in self._sight.glimpses(
-            then.array, self._seed, tick
-        ):
+        now = exact.observation(tick)
+        then = exact.observation(max(0, tick - self._sight.delay(exact.physics_hz)))
+        others = []
+        ids = []
+        lateral = [now.lateral_velocities[0]]
+        glimpses = self._sight.glimpses(then.array, self._seed, tick)
+        for npc, error_x, error_y, error_speed in glimpses:
             was = then.others[npc]
-            x, y = was.x + error_x, was.y + error_y
+            x = was.x + error_x
+            y = was.y + error_y
             lane = exact.lanes.closest(x, y, was.heading)
             others.append(was._replace(x=x, y=y, speed=was.speed + error_speed, lane=lane))
             ids.append(npc)
@@ -336,7 +345,9 @@ class Ads:
             received = "a policy that uses an environment's observations"
             fix = "to make these imperfect, write a wrapper"
             raise refused_policy(
-                "the ADS in a pafot.Perception to be a planner in SI units", received, fix
+                "the ADS in a pafot.Perception to be a planner in SI units",
+                received,
+                fix,
             )
         return self.decides
 
@@ -375,7 +386,9 @@ class Policy:
     def loading_hint(self) -> str:
         """The factory's note on loading the policy, or an empty string."""
         stated = self._own("loading_hint")
-        return stated if isinstance(stated, str) else ""
+        if isinstance(stated, str):
+            return stated
+        return ""
 
     def preload(self) -> None:
         load = self._own("preload")
@@ -395,7 +408,9 @@ class Policy:
     def _own(self, name: str) -> Any:
         # a class is a factory, but its attributes belong to its ADSs
         inner = inspect.unwrap(self.factory)
-        return None if isinstance(inner, type) else getattr(inner, name, None)
+        if isinstance(inner, type):
+            return None
+        return getattr(inner, name, None)
 
 
 # the constants of IDMVehicle that a subclass may set
@@ -425,29 +440,32 @@ class IdmModel:
 
 def is_patched(cls: type) -> bool:
     """Return whether functions of a highway-env class have been replaced or added, for example by a test."""
-    module, qualname = cls.__module__, cls.__qualname__
+    module = cls.__module__
+    qualname = cls.__qualname__
     # simple comparisons, because every run of a vehicle class makes them
     for name, each in vars(cls).items():
-        if type(each) is FunctionType and (
-            each.__qualname__ != f"{qualname}.{name}" or each.__module__ != module
-        ):
+        if type(each) is not FunctionType:
+            continue
+        if each.__qualname__ != f"{qualname}.{name}" or each.__module__ != module:
             return True
     return False
 
 
 def is_usable(constants: Mapping[str, Any]) -> bool:
     """Return whether the model works with these constants of a class or a vehicle."""
-    if not all(
-        isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()
-    ):
-        return False
+    for value in constants.values():
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            return False
     return constants["COMFORT_ACC_MIN"] < 0 and all(constants[name] > 0 for name in POSITIVE)
 
 
 def idm_model(ads: Any) -> IdmModel | None:
     """Return the IDM model of a vehicle class, or None if the class has custom code."""
-    whole = ads if isinstance(ads, functools.partial) else functools.partial(ads)
-    cls, options = whole.func, whole.keywords
+    whole = ads
+    if not isinstance(ads, functools.partial):
+        whole = functools.partial(ads)
+    cls = whole.func
+    options = whole.keywords
     stock = getattr(sys.modules.get("highway_env.vehicle.behavior"), "IDMVehicle", None)
     if stock is None or not isinstance(cls, type) or not issubclass(cls, stock):
         return None
@@ -458,21 +476,23 @@ def idm_model(ads: Any) -> IdmModel | None:
     if whole.args or set(options) - {"enable_lane_change"} or not only_sets_constants:
         return None
     # the functions that the model replaces must be highway-env's own
-    utils, roads = sys.modules["highway_env.utils"], sys.modules["highway_env.road.road"]
-    other_code = any(map(is_patched, [*stock.__mro__, roads.Road, roads.RoadNetwork])) or any(
-        (each.__module__, each.__qualname__) != (utils.__name__, name)
-        for name, each in ((name, getattr(utils, name)) for name in OF_UTILS)
-    )
-    if type(cls).__call__ is not type.__call__ or other_code or stock.TAU_PURSUIT != PURSUIT:
+    utils = sys.modules["highway_env.utils"]
+    roads = sys.modules["highway_env.road.road"]
+    if any(map(is_patched, [*stock.__mro__, roads.Road, roads.RoadNetwork])):
+        return None
+    for name in OF_UTILS:
+        function = getattr(utils, name)
+        if (function.__module__, function.__qualname__) != (utils.__name__, name):
+            return None
+    if type(cls).__call__ is not type.__call__ or stock.TAU_PURSUIT != PURSUIT:
         return None
     named = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items()}
     # without getattr, because a descriptor is no constant
     constants = {name: named[name] for name in CONSTANTS}
     if not is_usable(constants):
         return None
-    return IdmModel(
-        constants=constants, changes_lanes=bool(options.get("enable_lane_change", True))
-    )
+    changes_lanes = bool(options.get("enable_lane_change", True))
+    return IdmModel(constants=constants, changes_lanes=changes_lanes)
 
 
 Check = Callable[[Any], Any]
@@ -491,7 +511,9 @@ class Aside:
     conditions: list[Evaluated] = field(default_factory=list)
 
     def action_at(self, number: int) -> Any:
-        return self.answers[number] if number < len(self.answers) else None
+        if number < len(self.answers):
+            return self.answers[number]
+        return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -518,10 +540,14 @@ class Shadow(Around):
         question: Question | None,
     ) -> None:
         super().__init__(ads)
-        self._actions, self._check, self._aside, self._question = actions, check, aside, question
+        self._actions = actions
+        self._check = check
+        self._aside = aside
+        self._question = question
 
     def __call__(self, observation: Any) -> Any:
-        aside, number = self._aside, len(self._aside.answers)
+        aside = self._aside
+        number = len(self._aside.answers)
         question = self._question
         recording: AbstractContextManager[None] = nullcontext()
         if (
@@ -534,8 +560,11 @@ class Shadow(Around):
             return self._actions[number]
         if question is not None and number == question.number:
             # the ADS may write into it
-            aside.at = copy.deepcopy(observation) if question.is_noted else None
-            observation = observation if question.instead is None else question.instead
+            aside.at = None
+            if question.is_noted:
+                aside.at = copy.deepcopy(observation)
+            if question.instead is not None:
+                observation = question.instead
             if question.conditions is not None:
                 recording = question.conditions.recorded(self._ads, aside.conditions)
         aside.asked += 1
@@ -545,7 +574,9 @@ class Shadow(Around):
         except Exception:  # noqa: BLE001  (an ADS may raise any error for an unusual observation)
             answer = None
         aside.answers.append(answer)
-        return self._actions[number] if number < len(self._actions) else answer
+        if number < len(self._actions):
+            return self._actions[number]
+        return answer
 
 
 def beside(
@@ -581,16 +612,18 @@ class Unseeing(Around):
     def __call__(self, seen: Any) -> Any:
         # observations of an environment are made without the NPC, see `hide`
         if isinstance(seen, Observation):
-            seen = changed(seen, self.npc, None) if self.npc in seen.ids else seen
-            seen = seen.replace(
-                crossing=tuple([each for each in seen.crossing if each.id != self.npc])
-            )
+            if self.npc in seen.ids:
+                seen = changed(seen, self.npc, None)
+            crossing = tuple([each for each in seen.crossing if each.id != self.npc])
+            seen = seen.replace(crossing=crossing)
         return self._ads(seen)
 
 
 def check_by(ads: Any, check: Check) -> None:
     """Set the function that checks an ADS's actions, if the ADS was created by :func:`beside`."""
-    shadow = ads._ads if isinstance(ads, Unseeing) else ads
+    shadow = ads
+    if isinstance(ads, Unseeing):
+        shadow = ads._ads
     if isinstance(shadow, Shadow):
         shadow._check = check
 
@@ -626,17 +659,25 @@ def changed(
 
     ``by`` is added to the NPC's x [m], y [m] and speed [m/s]. If it is None, the NPC is hidden.
     """
-    place, others = observation.ids.index(npc), list(observation.others)
-    ids, lateral = list(observation.ids), list(observation.lateral_velocities)
+    place = observation.ids.index(npc)
+    others = list(observation.others)
+    ids = list(observation.ids)
+    lateral = list(observation.lateral_velocities)
     if by is None:
         del others[place], ids[place], lateral[place + 1]
     else:
-        was, (x, y, speed) = others[place], by
+        was = others[place]
+        x, y, speed = by
         # the nearest lane may have changed
         aside = [abs(centre - (was.y + y)) for centre in observation.lane_centres]
         others[place] = was._replace(
-            x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=aside.index(min(aside))
+            x=was.x + x,
+            y=was.y + y,
+            speed=was.speed + speed,
+            lane=aside.index(min(aside)),
         )
     return observation.replace(
-        others=tuple(others), ids=tuple(ids), lateral_velocities=tuple(lateral)
+        others=tuple(others),
+        ids=tuple(ids),
+        lateral_velocities=tuple(lateral),
     )

@@ -14,16 +14,15 @@ import numpy as np
 
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.engines.run import Rules
 from pytest_pafot.world.kernel.crossing import CrossingNpc
 from pytest_pafot.world.kernel.director import Npc
 from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle, NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.lanes import Body, Places
 from pytest_pafot.world.roads.network import STEP, NetworkRoad
 from pytest_pafot.world.roads.road import Road as RoadOfGrid
 from pytest_pafot.world.roads.road import StraightRoad
-from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import (
     CircularLane,
     ControlledVehicle,
@@ -54,7 +53,9 @@ def compiled_network(network: Any) -> Network | None:
         if type(lane) is CircularLane:
             shape = *lane.center, lane.radius, lane.start_phase, lane.direction
         else:
-            wave = (lane.amplitude, lane.pulsation, lane.phase) if type(lane) is SineLane else ()
+            wave: tuple[float, ...] = ()
+            if type(lane) is SineLane:
+                wave = (lane.amplitude, lane.pulsation, lane.phase)
             shape = *lane.start, *lane.direction, lane.heading, *wave
         shapes += (*shape, *([0.0] * (9 - len(shape))))  # padded with zeros, see Network
     sections = {
@@ -86,7 +87,8 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
         self, position: Any, heading: float | None = None
     ) -> tuple[str, str, int]:
         index: tuple[str, str, int]
-        x, y = float(position[0]), float(position[1])
+        x = float(position[0])
+        y = float(position[1])
         if self._compiled is None or heading is None or not (math.isfinite(x) and math.isfinite(y)):
             index = super().get_closest_lane_index(position, heading)
         else:
@@ -155,7 +157,8 @@ STATE = (
 
 def _copied(held: Any, protocol: Any) -> Any:
     # A planner that simulates copies held vehicles. The copies must move, so they get the class without HELD.
-    kind, seen = type(held), type(held).__base__
+    kind = type(held)
+    seen = type(held).__base__
     made: Any = object.__reduce_ex__(held, protocol)
     make, given, *others = made
     return (
@@ -193,7 +196,8 @@ class TrafficClass:
     """The traffic class of an environment, which the environment's code sees as the class of the NPCs."""
 
     def __init__(self, seen: Any, constants: Mapping[str, Any] = MappingProxyType({})) -> None:
-        self.seen, self.constants = seen, constants
+        self.seen = seen
+        self.constants = constants
         self.is_controlled = issubclass(seen, ControlledVehicle)
 
     @cached_property
@@ -212,7 +216,9 @@ class TrafficClass:
     def _with(self, own: Mapping[str, Any]) -> Any:
         body = {"__slots__": (), "__module__": self.seen.__module__, **own}
         return types.new_class(
-            self.seen.__name__, (self.seen,), exec_body=lambda names: names.update(body)
+            self.seen.__name__,
+            (self.seen,),
+            exec_body=lambda names: names.update(body),
         )
 
 
@@ -227,9 +233,9 @@ def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]
     seen: Any = given if isinstance(given, type) else class_from_path(given)
     if not (isinstance(seen, type) and issubclass(seen, Vehicle)):
         raise TypeError(f"{given!r:.100} is not a class derived from highway-env's Vehicle")
-    if own := [
-        name for name in STATE if inspect.isdatadescriptor(inspect.getattr_static(seen, name, None))
-    ]:
+    given_by_class = {name: inspect.getattr_static(seen, name, None) for name in STATE}
+    own = [name for name, each in given_by_class.items() if inspect.isdatadescriptor(each)]
+    if own:
         raise TypeError(
             f"{seen.__name__} itself computes {', '.join(own)}, which the run has to set"
         )
@@ -259,15 +265,23 @@ class Traffic:
     """The NPCs of a run as an environment's code sees them, as vehicles of the environment's traffic class."""
 
     def __init__(
-        self, traffic: TrafficClass, stock_road: Any, ego: Any, places: Places, road: RoadOfGrid
+        self,
+        traffic: TrafficClass,
+        stock_road: Any,
+        ego: Any,
+        places: Places,
+        road: RoadOfGrid,
     ) -> None:
         self.vehicles: list[Any] = []
-        self._network, self._road = stock_road.network, road
-        self._bodies, self._npcs = places.vehicles[1:], places.bodies[1:]
+        self._network = stock_road.network
+        self._road = road
+        self._bodies = places.vehicles[1:]
+        self._npcs = places.bodies[1:]
         self._is_controlled = traffic.is_controlled
         stock_road.vehicles = [ego]
         # NPCs have routes if the environment plans a route for its ego, or if its road is regulated.
-        route, is_regulated = getattr(ego, "route", None), isinstance(stock_road, RegulatedRoad)
+        route = getattr(ego, "route", None)
+        is_regulated = isinstance(stock_road, RegulatedRoad)
         for body, npc in zip(self._bodies, self._npcs, strict=True):
             made = traffic.seen(stock_road, np.array([body.x, body.y]), body.heading, body.speed)
             vars(made).update(traffic.constants, LENGTH=body.length, WIDTH=body.width)
@@ -288,7 +302,8 @@ class Traffic:
         """Move the vehicles to the NPCs' positions and, unless ``is_lean``, update their lanes and targets."""
         for each, body in zip(self.vehicles, self._bodies, strict=True):
             each.position = np.array([body.x, body.y])
-            each.heading, each.speed = body.heading, body.speed
+            each.heading = body.heading
+            each.speed = body.speed
             each.action = {"steering": body.steering, "acceleration": body.acceleration}
             if not is_lean:
                 each.lane_index = self._network.get_closest_lane_index(each.position, each.heading)
@@ -298,10 +313,11 @@ class Traffic:
 
     def show_targets(self) -> None:
         """Copy the NPCs' targets to the vehicles. The lanes of the vehicles must be up to date."""
-        for each, npc in zip(
-            self.vehicles if self._is_controlled else (), self._npcs, strict=False
-        ):
-            lane, each.target_lane_index = each.lane_index, each.lane_index
+        if not self._is_controlled:
+            return
+        for each, npc in zip(self.vehicles, self._npcs, strict=True):
+            lane = each.lane_index
+            each.target_lane_index = each.lane_index
             # The target speed is never exactly 0, because environments such as merge-v0 divide by it.
             each.target_speed = float(not_zero(_target_speed(npc)))
             if isinstance(npc, Npc) and npc.executed and npc.heading_for != npc.lane:
@@ -319,7 +335,9 @@ def _target_speed(npc: Any) -> float:
         return float(npc.wanted)
     if not npc.executed:
         return float(npc.chain[0].speed)
-    return float(npc.target_speed if npc.kept_lane < 0 and npc.shift_lane < 0 else npc.kept_speed)
+    if npc.kept_lane < 0 and npc.shift_lane < 0:
+        return float(npc.target_speed)
+    return float(npc.kept_speed)
 
 
 def straight_network(
@@ -329,9 +347,14 @@ def straight_network(
     network = RoadNetwork()
     stock = RoadNetwork.straight_road_network(lanes, length=length, speed_limit=speed_limit)
     for index, lane in enumerate(stock.lanes_list()):
-        y, types = index * lane_width, lane.line_types
+        y = index * lane_width
+        types = lane.line_types
         own = StraightLane(
-            [0.0, y], [length, y], width=lane_width, line_types=types, speed_limit=speed_limit
+            [0.0, y],
+            [length, y],
+            width=lane_width,
+            line_types=types,
+            speed_limit=speed_limit,
         )
         network.add_lane("0", "1", own)
     return network
@@ -362,7 +385,9 @@ def straight_road(network: RoadNetwork) -> StraightRoad | None:
         and math.isclose(lane.y, first.y + k * first.width)
         for k, lane in enumerate(values)
     )
-    return StraightRoad(values) if is_parallel else None
+    if is_parallel:
+        return StraightRoad(values)
+    return None
 
 
 def constants_of(vehicle: Any) -> dict[str, float]:
@@ -389,21 +414,25 @@ class CompiledRoad:
 
     def vehicle(self, vehicle: Any) -> GoalVehicle:
         """Return a compiled vehicle with the state of a highway-env vehicle."""
-        network, numbers = self._road.network, self._numbers
+        network = self._road.network
+        numbers = self._numbers
 
         def routed() -> int:
             route = getattr(vehicle, "route", None)
-            return -1 if not route or route[0][2] is None else int(route[0][2])
+            if not route or route[0][2] is None:
+                return -1
+            return int(route[0][2])
 
         # highway-env's network shortens the vehicle's route in this call
         def following(lane: int, x: float, y: float) -> tuple[int, int]:
-            here, route, random = (
-                np.array([x, y]),
-                getattr(vehicle, "route", None),
-                self._road.np_random,
-            )
+            here = np.array([x, y])
+            route = getattr(vehicle, "route", None)
+            random = self._road.np_random
             after = network.next_lane(
-                self._named[lane][0], route=route, position=here, np_random=random
+                self._named[lane][0],
+                route=route,
+                position=here,
+                np_random=random,
             )
             return numbers[after], routed()
 
@@ -417,13 +446,20 @@ class CompiledRoad:
         body: GoalVehicle
         if isinstance(self._lanes, Network):
             body = NetworkVehicle(
-                constants_of(vehicle), self._lanes, following, routed(), route, self._searched
+                constants_of(vehicle),
+                self._lanes,
+                following,
+                routed(),
+                route,
+                self._searched,
             )
         else:
             body = GoalVehicle(constants_of(vehicle), self._lanes.grid, self._lanes.speed_limit)
         body.has_goal = isinstance(vehicle, ControlledVehicle)
         body.drives_itself = idm_model(type(vehicle)) is not None
-        body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
+        body.waited = -1
+        if getattr(vehicle, "is_yielding", False):
+            body.waited = vehicle.yield_timer
         # sets default values; the lane and the timer of the vehicle replace them below
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
         body.closest = self._numbers[vehicle.lane_index]
@@ -433,43 +469,40 @@ class CompiledRoad:
 
     def state(self, vehicle: Any) -> tuple[float, float, float, float]:
         """Return x [m], y [m], heading [rad] and speed [m/s] of a highway-env vehicle, in the compiled coordinates."""
-        x, y = vehicle.position
-        return float(x) - self._x, float(y) - self._y, float(vehicle.heading), float(vehicle.speed)
+        x, y, heading, speed = state_of(vehicle)
+        return x - self._x, y - self._y, heading, speed
 
     def take(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the goal and the controls of a highway-env vehicle to a compiled vehicle."""
         if body.has_goal:
-            body.goal, body.target_speed = (
-                self._numbers[vehicle.target_lane_index],
-                float(vehicle.target_speed),
-            )
-        body.acceleration, body.steering = (
-            float(vehicle.action["acceleration"]),
-            float(vehicle.action["steering"]),
-        )
+            body.goal = self._numbers[vehicle.target_lane_index]
+            body.target_speed = float(vehicle.target_speed)
+        body.acceleration = float(vehicle.action["acceleration"])
+        body.steering = float(vehicle.action["steering"])
 
     def show(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the state of a compiled vehicle to a highway-env vehicle."""
         vehicle.position = np.array([body.x + self._x, body.y + self._y])
-        vehicle.heading, vehicle.speed = body.heading, body.speed
+        vehicle.heading = body.heading
+        vehicle.speed = body.speed
         vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
         vehicle.lane_index, vehicle.lane = self._named[body.closest]
         if body.has_goal:
-            vehicle.target_lane_index, vehicle.target_speed = (
-                self._named[body.goal][0],
-                body.target_speed,
-            )
+            vehicle.target_lane_index = self._named[body.goal][0]
+            vehicle.target_speed = body.target_speed
         if body.drives_itself:
             vehicle.timer = body.timer
             if self._is_regulated:
                 vehicle.is_yielding = body.waited >= 0
             if self._is_regulated and vehicle.is_yielding:
-                vehicle.yield_timer, vehicle.color = body.waited, RegulatedRoad.YIELDING_COLOR
+                vehicle.yield_timer = body.waited
+                vehicle.color = RegulatedRoad.YIELDING_COLOR
 
 
 def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]]]:
     """Return, for each lane, the lanes in which highway-env's IDM looks for vehicles, and their starts [m]."""
-    lanes, graph = road.network.lanes_dict(), road.network.graph
+    lanes = road.network.lanes_dict()
+    graph = road.network.graph
     searched = [[(number, 0.0)] for number in numbers.values()]
     for (origin, end, lane), number in (
         numbers.items() if road.neighbour_vehicles_connected_lanes else ()
@@ -486,10 +519,15 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
 
 
 def egos_rules(
-    road: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any
+    road: Any,
+    model: GoalVehicle,
+    places: Places,
+    rules: Rules,
+    network: Any,
 ) -> EgosRoadRules | None:
     """Return a regulated road's rules for an ego driven by ``model``, or None for other roads."""
-    way, is_regulated = rules.road, type(road) in (RegulatedRoad, EgosRegulatedRoad)
+    way = rules.road
+    is_regulated = type(road) in (RegulatedRoad, EgosRegulatedRoad)
     if not (is_regulated and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):
         return None
     frequency = road.REGULATION_FREQUENCY
@@ -504,7 +542,13 @@ def obstacles_on(road: Any) -> list[Body]:
     bodies: list[Body] = []
     for each in road.objects:
         if not isinstance(each, Landmark):
-            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH)))
-            x, y = map(float, each.position)
-            bodies[-1].place(x, y, float(each.heading), float(each.speed))
+            body = StaticObstacle(float(each.LENGTH), float(each.WIDTH))
+            body.place(*state_of(each))
+            bodies.append(body)
     return bodies
+
+
+def state_of(vehicle: Any) -> tuple[float, float, float, float]:
+    """Return x [m], y [m], heading [rad] and speed [m/s] of a highway-env vehicle or object."""
+    x, y = vehicle.position
+    return float(x), float(y), float(vehicle.heading), float(vehicle.speed)

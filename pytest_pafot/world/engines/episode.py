@@ -24,14 +24,20 @@ from pytest_pafot.world.driving.environment import (
 from pytest_pafot.world.driving.policy import Ads, AdsFactory, ImperfectSensor, Policy, give_route
 from pytest_pafot.world.driving.vehicles import StockVehicle, straight_road
 from pytest_pafot.world.engines.gym_replay import end_of, stand_in
+from pytest_pafot.world.engines.policies import make_ads
+from pytest_pafot.world.engines.run import Plausibility
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, closing, error_of
-from pytest_pafot.world.gym_environment import ENDS, EnvironmentGuard, vehicle_classes_kept
+from pytest_pafot.world.gym_environment import (
+    ENDS,
+    EnvironmentGuard,
+    of_highway_env,
+    vehicle_classes_kept,
+)
 from pytest_pafot.world.gym_world import World
-from pytest_pafot.world.kernel.bodies import COLUMNS, Body
+from pytest_pafot.world.kernel.lanes import COLUMNS, Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
-from pytest_pafot.world.kernel.observation import Observer, Sensor
+from pytest_pafot.world.kernel.observation import Observer
 from pytest_pafot.world.limits import PLANNER_HZ
-from pytest_pafot.world.plausible import Plausibility
 
 # Returns what the ego has done in an episode so far: `crashed`, `moved`, both or neither.
 Watch = Callable[[], set[str]]
@@ -73,7 +79,9 @@ def drive_episode(
         AdsFactoryError: if the factory returns an object that cannot drive.
         WorldError: if the environment cannot be used, or if the policy is a planner and the road is not straight.
     """
-    environment, limit, policy = world.environment, world.hang_limit, Policy(factory)
+    environment = world.environment
+    limit = world.hang_limit
+    policy = Policy(factory)
     environment.unwrapped  # noqa: B018  (it imports the user's module, whose changes to classes are not undone)
     with vehicle_classes_kept(), HangGuard(limit) as guard, EnvironmentGuard(limit) as around:
         outer = environment.make(has_traffic=True)
@@ -85,28 +93,36 @@ def drive_episode(
         except WorldError:
             raise
         except Exception as wrong:
-            expected = f"{environment.env_id}, with its wrappers, to reset with the seed {seed}"
             raise WorldError(
-                field="world", expected=expected, received=described(wrong), fix="correct it"
+                field="world",
+                expected=f"{environment.env_id}, with its wrappers, to reset with the seed {seed}",
+                received=described(wrong),
+                fix="correct it",
             ) from wrong
-        view = View(environment.make().unwrapped, env) if policy.simulates else None
+        # A second environment, in which the planner can simulate without changing the episode.
+        view = None
+        if policy.simulates:
+            view = View(environment.make().unwrapped, env)
         try:
-            watch, made = _watching(env), policy.make(**({} if view is None else {"env": view.env}))
+            watch = _watching(env)
+            made = make_ads(policy, view)
+            error = None
             with closing(made.given, limit):
                 if made.drives_itself or is_planner:
                     steps, error = _drive_beside(env, made, seed, guard, around, watch)
                 else:
-                    steps, error = (
-                        _drive_by_actions(outer, made, guard, around, seen, view, watch),
-                        None,
-                    )
+                    steps = _drive_by_actions(outer, made, guard, around, seen, view, watch)
             if error is not None or "crashed" in watch():
+                # An error of the planner is not counted as a crash, even if it also crashed in that step.
                 return Episode(seed, error is None, error)
             if steps > 1 and max(env.time, steps / env.config["policy_frequency"]) > IMMEDIATE:
-                return Episode(seed, undriven="" if "moved" in watch() else "the ego never moved")
+                if "moved" in watch():
+                    return Episode(seed)
+                return Episode(seed, undriven="the ego never moved")
             with around.call():
                 enders = [f"{type(env).__name__}.{name}" for name in ENDS if getattr(env, name)()]
-            return Episode(seed, undriven=f"{[*enders, end_of(outer)][0]} ended it in step {steps}")
+            first = [*enders, end_of(outer)][0]
+            return Episode(seed, undriven=f"{first} ended it in step {steps}")
         except (AdsFactoryError, WorldError):
             raise
         except UNFIT as wrong:
@@ -115,12 +131,19 @@ def drive_episode(
 
 def _watching(env: Any) -> Watch:
     # Also watch within each step, because the environment or a wrapper may reset the ego before the step ends.
-    start, simulate, done = tuple(env.vehicle.position), env._simulate, set[str]()
-    road_step, known = env.road.step, dict[str, Any]()
+    start = tuple(env.vehicle.position)
+    simulate = env._simulate
+    road_step = env.road.step
+    done = set[str]()
+    watched: Any = None
+    plausibility: Any = None
 
     def watch() -> set[str]:
-        now = {"crashed": env.vehicle.crashed, "moved": tuple(env.vehicle.position) != start}
-        done.update(name for name, is_so in now.items() if is_so)
+        ego = env.vehicle
+        if ego.crashed:
+            done.add("crashed")
+        if tuple(ego.position) != start:
+            done.add("moved")
         return done
 
     def simulated(*given: Any, **named: Any) -> None:
@@ -131,13 +154,16 @@ def _watching(env: Any) -> Watch:
         return *map(float, ego.position), float(ego.heading), float(ego.speed)
 
     def stepped(dt: float) -> None:
+        nonlocal watched, plausibility
         ego = env.vehicle
-        if known.get("ego") is not ego:
-            known.update(ego=ego, plausibility=Plausibility([pose_of(ego)], dt))
+        # A reset within the episode replaces the ego, whose old position says nothing about the new one.
+        if watched is not ego:
+            watched = ego
+            plausibility = Plausibility([pose_of(ego)], dt)
         road_step(dt)
         if "crashed" not in watch():
-            name, acceleration = type(env).__name__, float(ego.action["acceleration"])
-            known["plausibility"].check([pose_of(ego)], f"{name}.step", [acceleration])
+            acceleration = float(ego.action["acceleration"])
+            plausibility.check([pose_of(ego)], f"{type(env).__name__}.step", [acceleration])
 
     stand_in(env, "_simulate", simulated)
     stand_in(env.road, "step", stepped)
@@ -156,6 +182,7 @@ def _drive_by_actions(
     # Returns the number of steps.
     env, policy = outer.unwrapped, made.policy
     check_action_space(outer.action_space)
+    # The view is numbered by ticks, as in a run.
     every = int(env.config["simulation_frequency"] // env.config["policy_frequency"])
     for step in range(_steps(outer)):
         if view is not None:
@@ -177,16 +204,22 @@ def _drive_beside(
 
     Return the number of steps, and the planner's error or None.
     """
-    old, kind = env.vehicle, made.decides if made.drives_itself else StockVehicle
+    old = env.vehicle
+    kind: Any = StockVehicle
+    if made.drives_itself:
+        kind = made.decides
+    # The environment's ego may have a class that obeys only its action type.
     ego = kind(env.road, old.position, old.heading, old.speed)
     give_route(ego, getattr(old, "route", None))
     env.road.vehicles = [ego if each is old else each for each in env.road.vehicles]
     env.controlled_vehicles = [ego]
     env.define_spaces()
+    # Nothing reads its observations, which take longer than all the rest.
     env.observation_type.observe = lambda: 0.0
     # nothing reads its rewards, which may need an action
-    if type(env).__module__.startswith("highway_env."):
-        env._reward, env._info = lambda *_: 0.0, lambda *_, **__: {}
+    if of_highway_env(type(env)):
+        env._reward = lambda *_: 0.0
+        env._info = lambda *_, **__: {}
     errors = list[AdsError]()
     if not made.drives_itself:
         ego.act = _connect_planner(env, made, seed, guard, around, errors)
@@ -209,24 +242,35 @@ def _connect_planner(
 ) -> Callable[..., None]:
     # The planner sees the vehicles that exist at the start. After an error of the planner, its car keeps its controls
     # until the end of the step.
-    road, hz = straight_road(env.road.network), int(env.config["simulation_frequency"])
+    road = straight_road(env.road.network)
     if road is None:
         raise WorldError(
             f"world: expected a straight road for a planner in SI units, received the road of {type(env).__name__}. "
             "Use a policy for the environment's own observations and actions, or a vehicle class"
         )
-    ego, every = env.vehicle, hz // PLANNER_HZ or 1
+    ego = env.vehicle
+    hz = int(env.config["simulation_frequency"])
+    every = hz // PLANNER_HZ or 1
+    # An observer expects the ego first.
     vehicles = [ego, *(each for each in env.road.vehicles if each is not ego)]
-    row, sizes = len(vehicles) * COLUMNS, [(each.LENGTH, each.WIDTH) for each in vehicles]
+    sizes = [(each.LENGTH, each.WIDTH) for each in vehicles]
+    row = len(vehicles) * COLUMNS
     record = array("d", bytes(8 * row * math.ceil((_duration(env) + 2) * hz)))
-    exact = Observer(record, sizes, road.grid, road.speed_limit, hz, every)
-    sensor: Sensor = exact if made.sight is None else ImperfectSensor(exact, made.sight, seed)
-    body, lanes = (
-        Body(ego.LENGTH, ego.WIDTH),
-        {"lanes": road.lane_count, "lane_width": road.lane_width},
-    )
+    sensor: Any = Observer(record, sizes, road.grid, road.speed_limit, hz, every)
+    if made.sight is not None:
+        sensor = ImperfectSensor(sensor, made.sight, seed)
+    body = Body(ego.LENGTH, ego.WIDTH)
     driver = PlannerDriver(
-        made.decides, guard, (), body, body, sensor, dt=1 / hz, every=every, **lanes
+        made.decides,
+        guard,
+        (),
+        body,
+        body,
+        sensor,
+        dt=1 / hz,
+        every=every,
+        lanes=road.lane_count,
+        lane_width=road.lane_width,
     )
     ticks = itertools.count()
 
@@ -234,15 +278,17 @@ def _connect_planner(
         tick = next(ticks)
         for number, each in enumerate(vehicles):
             at = tick * row + number * COLUMNS
-            pose = road.project(
-                float(each.position[0]), float(each.position[1]), float(each.heading)
-            )
+            x, y = each.position
+            pose = road.project(float(x), float(y), float(each.heading))
             held = each.action["acceleration"], each.action["steering"]
             record[at : at + 6] = array("d", (*pose, each.speed, *held))
         body.place(*record[tick * row : tick * row + 4])
+        # Between decisions, the car follows its last action.
         if tick % every == 0 and not errors:
             with around.paused():
-                errors.extend(filter(None, [driver.decide(tick)]))
+                error = driver.decide(tick)
+            if error is not None:
+                errors.append(error)
         driver.actuate()
         ego.control(body.acceleration, body.steering)
 

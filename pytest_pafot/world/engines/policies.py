@@ -10,14 +10,12 @@ import copy
 import functools
 import inspect
 from collections.abc import Callable
-from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.environment import (
     ModelPolicyDriver,
     ObjectDriver,
@@ -25,7 +23,7 @@ from pytest_pafot.world.driving.environment import (
     View,
     copies_on,
 )
-from pytest_pafot.world.driving.policy import Policy, idm_model
+from pytest_pafot.world.driving.policy import Ads, Policy, idm_model
 from pytest_pafot.world.driving.vehicles import (
     CompiledRoad,
     EgosRegulatedRoad,
@@ -33,156 +31,142 @@ from pytest_pafot.world.driving.vehicles import (
     egos_rules,
     obstacles_on,
 )
-from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, vehicle_of
+from pytest_pafot.world.engines.run import OwnEnds, Rules, VehiclesOfRun, built_as, make_ego
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
-from pytest_pafot.world.gym_environment import PLAIN, GymEnvironment
+from pytest_pafot.world.gym_environment import (
+    OF_HIGHWAY_ENV,
+    PLAIN,
+    GymEnvironment,
+    put_ego,
+    refused_environment,
+)
 from pytest_pafot.world.kernel.loop import ModelDriver
 from pytest_pafot.world.roads.road import StraightRoad
-from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import MDPVehicle, Vehicle
 
-# The attributes with which highway-env's classes and roads control vehicles.
-OF_HIGHWAY_ENV = frozenset(
-    (
-        *(
-            "route",
-            "target_lane_index",
-            "target_speed",
-            "target_speeds",
-            "speed_index",
-            "enable_lane_change",
-            "timer",
-        ),
-        *("collecting_data", "data", "is_yielding", "yield_timer"),
-    )
-)
+# Returns the `OwnEnds` of a run, or None if the environment cannot end it.
+EndsOf = Callable[[VehiclesOfRun, HangGuard], OwnEnds | None]
 
 
 def rollout(
-    environment: GymEnvironment,
-    rules: Rules,
-    scenario: Scenario,
-    policy: Policy,
-    own_ends: Callable[..., OwnEnds | None],
+    environment: GymEnvironment, rules: Rules, scenario: Scenario, policy: Policy, ends_of: EndsOf
 ) -> Trace:
     """Simulate a scenario with a vehicle class or a policy.
 
-    ``own_ends``, a function like :func:`ends_beside`, is called for a vehicle class.
+    ``ends_of``, which calls a function like :func:`ends_beside`, is called for a vehicle class.
     """
-    with ExitStack() as at_the_end:
-        # A vehicle class replaces the ego, so only a policy needs the ego of the environment.
-        env, view = _env_of(environment, scenario), None
-        if policy.drives_itself:
-            ads = policy.make()
-        else:
-            put_policys_ego(environment, env, rules, scenario)
-            if policy.simulates:
-                view = View(environment.make().unwrapped, env)
-            ads = policy.make() if view is None else policy.make(env=view.env)
-            at_the_end.enter_context(closing(ads.given, rules.hang_limit))
-        guard, lanes = HangGuard(rules.hang_limit), environment.compiled_lanes
+    env = _env_of(environment, scenario)
+    # A vehicle class replaces the ego, so only a policy needs the ego of the environment.
+    if policy.drives_itself:
+        return _class_run(environment, env, rules, scenario, policy.make().given, ends_of)
+    put_policys_ego(environment, env, rules, scenario)
+    view = None
+    if policy.simulates:
+        view = View(environment.make().unwrapped, env)
+    ads = make_ads(policy, view)
+    with closing(ads.given, rules.hang_limit):
         if ads.drives_itself:
-            start = rules.ego_position(scenario)
-            given = built_as(rules.ego, ads.given)
-            ego = vehicle_of(given, env.road, start, rules.ego_speed(scenario), environment.route)
-            # On a straight road, the kernel's IDM knows neither objects nor rules for yielding.
-            has_more = isinstance(lanes, StraightRoad) and (
-                env.road.objects or isinstance(env.road, EgosRegulatedRoad)
-            )
-            if idm_model(given) is None or lanes is None or has_more:
-                if rules.ends:
-                    put_ego(env, ego)
-                return _run_driver(
-                    environment, rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends
-                )
-            # The kernel drives an IDM on lanes that it supports.
-            model = CompiledRoad(env.road, lanes).vehicle(ego)
-            vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
-            others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
-            model_driver = ModelDriver(
-                model, others, egos_rules(env.road, model, vehicles.places, rules, lanes)
-            )
-            return vehicles.drive(model_driver, guard, own_ends(rules, scenario, vehicles, guard))
-        every = rules.every
-        is_known = (
-            type(env.vehicle) in (MDPVehicle, Vehicle)
-            and getattr(env.action_type, "speed_range", None) is None
-        )
-        if is_known and lanes is not None:  # the kernel moves the ego
-            driver: PolicyDriver = ModelPolicyDriver(
-                ads.policy, env, guard, every, environment.traffic, view, lanes
-            )
+            return _class_run(environment, env, rules, scenario, ads.given, ends_of)
+        guard = HangGuard(rules.hang_limit)
+        common = env, guard, rules.every, environment.traffic, view
+        # A user's class of ego, or an action type that limits its speed, needs its own code.
+        lanes = environment.compiled_lanes
+        is_plain = getattr(env.action_type, "speed_range", None) is None
+        if type(env.vehicle) in (MDPVehicle, Vehicle) and is_plain and lanes is not None:
+            # the kernel moves the ego
+            driver: PolicyDriver = ModelPolicyDriver(ads.policy, *common, lanes)
         else:
-            driver = PolicyDriver(ads.policy, env, guard, every, environment.traffic, view)
-        return _run_driver(environment, rules, scenario, driver, env)
+            driver = PolicyDriver(ads.policy, *common)
+        vehicles = _vehicles(rules, scenario, driver)
+        ends = None
+        if rules.ends:
+            ends = OwnEnds(env, rules.ends, rules, guard, driver.show_all)
+        return vehicles.drive(driver, guard, ends)
+
+
+def make_ads(policy: Policy, view: View | None) -> Ads:
+    """Call a policy's factory, with the environment of ``view`` if the policy simulates in it."""
+    if view is None:
+        return policy.make()
+    return policy.make(env=view.env)
+
+
+def _class_run(
+    environment: GymEnvironment,
+    env: Any,
+    rules: Rules,
+    scenario: Scenario,
+    given: Any,
+    ends_of: EndsOf,
+) -> Trace:
+    """Simulate a scenario with a vehicle class."""
+    guard = HangGuard(rules.hang_limit)
+    lanes = environment.compiled_lanes
+    vehicle_class = built_as(rules.ego, given)
+    ego = make_ego(rules, scenario, vehicle_class, env.road, environment.route)
+    # The kernel drives an IDM on lanes that it supports.
+    is_known = idm_model(vehicle_class) is not None
+    if isinstance(lanes, StraightRoad):
+        # On a straight road, the kernel's IDM knows neither objects nor rules for yielding.
+        has_more = env.road.objects or isinstance(env.road, EgosRegulatedRoad)
+        is_known = is_known and not has_more
+    if is_known and lanes is not None:
+        model = CompiledRoad(env.road, lanes).vehicle(ego)
+        vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
+        others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
+        # On a regulated road, the ego also yields to other vehicles.
+        yielding = egos_rules(env.road, model, vehicles.places, rules, lanes)
+        kernel_driver = ModelDriver(model, others, yielding)
+        return vehicles.drive(kernel_driver, guard, ends_of(vehicles, guard))
+    if rules.ends:
+        put_ego(env, ego)
+    driver = ObjectDriver(ego, env.road, guard)
+    vehicles = _vehicles(rules, scenario, driver)
+    ends = None
+    if rules.ends_in_steps:
+        ends = ends_of(vehicles, guard)
+    elif rules.ends:
+        # The ego sees NPCs without goals. The environment's methods see them as its own traffic, on a copy of the road.
+        env.road = copy.copy(env.road)
+        traffic = Traffic(environment.traffic, env.road, env.vehicle, vehicles.places, rules.road)
+        ends = OwnEnds(env, rules.ends, rules, guard, traffic.show)
+    return vehicles.drive(driver, guard, ends)
+
+
+def _vehicles(rules: Rules, scenario: Scenario, driver: ObjectDriver) -> VehiclesOfRun:
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road)
+    driver.show(vehicles.places, rules.road)
+    return vehicles
 
 
 def ends_beside(
-    environment: GymEnvironment,
-    rules: Rules,
-    scenario: Scenario,
-    vehicles: VehiclesOfRun,
-    guard: HangGuard,
+    environment: GymEnvironment, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> OwnEnds | None:
     """Return an environment's ``OwnEnds`` for an ego that does not belong to it, or None if it cannot end runs."""
+    rules = vehicles.rules
     if not rules.ends:
         return None
-    env = _env_of(environment, scenario)
-    put_policys_ego(environment, env, rules, scenario)
+    env = _env_of(environment, vehicles.scenario)
+    put_policys_ego(environment, env, rules, vehicles.scenario)
     return OwnEnds(env, rules.ends, rules, guard, showing(environment, env, vehicles))
 
 
 def showing(environment: GymEnvironment, env: Any, vehicles: VehiclesOfRun) -> Callable[[], None]:
     """Put a run's vehicles into an environment, and return a function that updates their states."""
-    ego, body = env.vehicle, vehicles.vehicles[0]
+    ego = env.vehicle
+    body = vehicles.vehicles[0]
     traffic = Traffic(environment.traffic, env.road, ego, vehicles.places, vehicles.rules.road)
 
     def show() -> None:
         traffic.show()
-        ego.position, ego.heading, ego.speed = np.array([body.x, body.y]), body.heading, body.speed
+        ego.position = np.array([body.x, body.y])
+        ego.heading = body.heading
+        ego.speed = body.speed
+        # The rewards and ends of some environments depend on the ego's controls.
         ego.action = {"steering": body.steering, "acceleration": body.acceleration}
         ego.on_state_update()
 
     return show
-
-
-def _run_driver(
-    environment: GymEnvironment,
-    rules: Rules,
-    scenario: Scenario,
-    driver: ObjectDriver,
-    env: Any,
-    own_ends: Callable[..., OwnEnds | None] | None = None,
-) -> Trace:
-    vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road)
-    driver.show(vehicles.places, rules.road)
-    ends = None
-    if own_ends is not None and rules.ends_in_steps:
-        ends = own_ends(rules, scenario, vehicles, driver.guard)
-    elif own_ends is not None and rules.ends:
-        # The ego sees NPCs without goals. The environment's methods see them as its own traffic, on a copy of the road.
-        env.road = copy.copy(env.road)
-        traffic = Traffic(environment.traffic, env.road, env.vehicle, vehicles.places, rules.road)
-        ends = OwnEnds(env, rules.ends, rules, driver.guard, traffic.show)
-    elif rules.ends:
-        ends = OwnEnds(env, rules.ends, rules, driver.guard, driver.show_all)
-    return vehicles.drive(driver, driver.guard, ends)
-
-
-def put_ego(env: Any, ego: Any) -> None:
-    """Make ``ego`` the only vehicle in an environment, instead of the ego that a reset has created.
-
-    ``ego`` gets the attributes that the environment has added to its own ego, such as a goal.
-    """
-    own = env.vehicle
-    for name, value in vars(own).items():
-        if name not in OF_HIGHWAY_ENV and not hasattr(ego, name):
-            setattr(ego, name, value)
-    for name in [name for name, value in vars(env).items() if value is own]:
-        setattr(env, name, ego)
-    env.road.vehicles = [ego]
-    env.controlled_vehicles = [ego]
-    env.define_spaces()
 
 
 def put_policys_ego(
@@ -193,77 +177,70 @@ def put_policys_ego(
     Raises:
         WorldError: if the class cannot be called with the arguments that highway-env passes.
     """
-    own, vehicle_class = env.vehicle, env.action_type.vehicle_class
-    start, speed = rules.ego_position(scenario), rules.ego_speed(scenario)
+    own = env.vehicle
     if type(own) is usual_class(env.action_type):
-        put_ego(
-            env,
-            vehicle_of(
-                built_as(rules.ego, vehicle_class), env.road, start, speed, environment.route
-            ),
-        )
+        vehicle_class = built_as(rules.ego, env.action_type.vehicle_class)
+        ego = make_ego(rules, scenario, vehicle_class, env.road, environment.route)
+        put_ego(env, ego)
         return
     signature = inspect.signature(type(own))
     try:
         signature.bind(None, [0.0, 0.0], 0.0, 0.0)
     except TypeError as error:
-        raise WorldError(
-            field="env_id",
-            expected="an environment whose ego has a class that can be called with (road, position, heading, speed)",
-            received=f"{type(own).__name__}{signature} ({error})",
-            fix="give the other parameters default values",
+        raise refused_environment(
+            "an environment whose ego has a class that can be called with (road, position, heading, speed)",
+            f"{type(own).__name__}{signature} ({error})",
+            "give the other parameters default values",
         ) from None
-    ego = vehicle_of(built_as(rules.ego, type(own)), env.road, start, speed, environment.route)
+    vehicle_class = built_as(rules.ego, type(own))
+    ego = make_ego(rules, scenario, vehicle_class, env.road, environment.route)
     give_speeds(ego, getattr(own, "target_speeds", None))
-    there = (*own.position, own.heading), own.speed
-    plain, same = (vehicle_of(cls, env.road, *there, None) for cls in (Vehicle, type(own)))
+    # The reset may have set attributes to values that the class alone does not give them.
+    start = env.road, [*own.position], own.heading, own.speed
+    plain = Vehicle(*start)
+    same = type(own)(*start)
     for name, value in vars(own).items():
-        is_known = name in OF_HIGHWAY_ENV or name in vars(plain)
-        if (
-            not is_known
-            and isinstance(value, PLAIN)
-            and repr(value) != repr(getattr(same, name, None))
-        ):
+        if name in OF_HIGHWAY_ENV or name in vars(plain) or not isinstance(value, PLAIN):
+            continue
+        if repr(value) != repr(getattr(same, name, None)):
             setattr(ego, name, copy.deepcopy(value))
     put_ego(env, ego)
 
 
 def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     # Runs may nest, so each has its own road, time and random numbers.
-    env = copy.copy(environment.unwrapped)
+    first = environment.unwrapped
+    env = copy.copy(first)
     env.np_random = rng_of(scenario.seed)
     env.time = env.steps = 0
     env.road = environment.road(env.np_random)
-    env.road.objects = copies_on(environment.unwrapped.road.objects, env.road)
+    env.road.objects = copies_on(first.road.objects, env.road)
+    # Methods of the environment may keep counters in it.
     env.config = dict(env.config)
     if environment.own_state:
-        first = environment.unwrapped
-        there = [
-            (first, env),
-            (first.road, env.road),
-            *zip(first.road.objects, env.road.objects, strict=True),
-        ]
         # The ego of the reset is not copied, because `put_ego` looks for it.
-        known = {id(old): new for old, new in [*there, (first.vehicle, first.vehicle)]}
-        vars(env).update(
-            copy.deepcopy({name: vars(first)[name] for name in environment.own_state}, known)
-        )
+        known = {id(first): env, id(first.road): env.road, id(first.vehicle): first.vehicle}
+        for old, new in zip(first.road.objects, env.road.objects, strict=True):
+            known[id(old)] = new
+        own_state = {name: vars(first)[name] for name in environment.own_state}
+        vars(env).update(copy.deepcopy(own_state, known))
     return env
 
 
 def usual_class(action_type: Any) -> Any:
     """Return the class of ego for which an action type is designed."""
     vehicle_class = action_type.vehicle_class
-    return vehicle_class.func if isinstance(vehicle_class, functools.partial) else vehicle_class
+    if isinstance(vehicle_class, functools.partial):
+        return vehicle_class.func
+    return vehicle_class
 
 
 def give_speeds(ego: Any, speeds: Any) -> None:
     """Set the target speeds of an ego that chooses between several speeds, as highway-env does."""
-    if (
-        isinstance(ego, MDPVehicle)
-        and speeds is not None
-        and not np.array_equal(ego.target_speeds, speeds)
-    ):
+    if not isinstance(ego, MDPVehicle) or speeds is None:
+        return
+    # Otherwise, the index that the class has chosen for its speed is kept.
+    if not np.array_equal(ego.target_speeds, speeds):
         ego.target_speeds = np.array(speeds)
         ego.speed_index = ego.speed_to_index(ego.speed)
         ego.target_speed = ego.index_to_speed(ego.speed_index)

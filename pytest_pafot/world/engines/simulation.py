@@ -24,12 +24,11 @@ import numpy as np
 from pytest_pafot.model.trace import AdsError, vehicle_name
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.world.driving.policy import Unseeing, check_by
-from pytest_pafot.world.engines.run import VehiclesOfRun
+from pytest_pafot.world.engines.run import Implausible, Plausibility, State, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, call_close, patience_with_world
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.kernel.observation import Sensor
-from pytest_pafot.world.plausible import Implausible, Plausibility
 
 # The time that `close` of a simulator may take [s].
 CLOSING = 10.0
@@ -37,7 +36,9 @@ CLOSING = 10.0
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
 # In its first tick, a vehicle at a speed of at least `MOVES` [m/s] must move in the direction of its heading, as far as
 # its speed implies. The tolerance is this proportion of the distance, plus this change in speed [m/s^2].
-STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
+STRAYS = 0.15
+FASTEST_CHANGE = 10.0
+MOVES = 5.0
 # One run only shows that something is wrong. This function finds the wrong attribute by experiments.
 CAUSE = "To find the cause, call pytest_pafot.testing.check_world(world)"
 Headings = Literal[
@@ -93,8 +94,12 @@ class Control(NamedTuple):
 class _Hz:
     # The default: 1 / `dt`, or 15 ticks per second if `dt` is None.
     def __get__(self, simulator: Any, of: Any = None) -> float:
-        dt = (of if simulator is None else simulator).dt
-        return 15 if dt is None else 1 / dt
+        if simulator is None:
+            simulator = of
+        dt: float | None = simulator.dt
+        if dt is None:
+            return 15
+        return 1 / dt
 
 
 class Simulator(ABC):
@@ -205,44 +210,53 @@ class Frame:
         self, simulator: Any, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> None:
         self.origin = origin
-        self.side = -1.0 if simulator.y_is_left else 1.0
+        self.side = 1.0
+        if simulator.y_is_left:
+            self.side = -1.0
         # Headings and steering angles change their sign with y.
         zero, sense = HEADINGS[simulator.headings]
-        self.zero, self.turn = self.side * zero * math.pi / 2, self.side * sense
-        self.angle = math.pi / 180 if simulator.degrees else 1.0
-        self.metres, self.speed = float(simulator.metres), float(simulator.metres_per_second)
+        self.zero = self.side * zero * math.pi / 2
+        self.turn = self.side * sense
+        self.angle = 1.0
+        if simulator.degrees:
+            self.angle = math.pi / 180
+        self.metres = float(simulator.metres)
+        self.speed = float(simulator.metres_per_second)
         # The point of reference is a fraction of the length ahead of the centre, or a distance behind it.
-        self._share, self._behind = (
-            0.5 * (simulator.reference == "front"),
-            simulator.rear_axle_offset or 0.0,
-        )
-        x, y, heading = origin
-        self._x, self._y, self._heading = x, y, heading
-        self._cos, self._sin = math.cos(heading), math.sin(heading)
+        self._share = 0.0
+        if simulator.reference == "front":
+            self._share = 0.5
+        self._behind = simulator.rear_axle_offset or 0.0
+        self._x, self._y, self._heading = origin
+        self._cos = math.cos(self._heading)
+        self._sin = math.sin(self._heading)
 
     def point(self, x: float, y: float) -> tuple[float, float]:
         """Convert a position in the simulator to a run's x [m] and y [m]."""
-        dx, dy = x * self.metres - self._x, self.side * y * self.metres - self._y
+        dx = x * self.metres - self._x
+        dy = self.side * y * self.metres - self._y
         return dx * self._cos + dy * self._sin, dy * self._cos - dx * self._sin
 
-    def state(
-        self, row: Sequence[float], length: float, near: float
-    ) -> tuple[float, float, float, float]:
+    def state(self, row: Sequence[float], length: float, near: float) -> State:
         """Convert a row of the simulator's states to a run's x [m], y [m], heading [rad] and speed [m/s]."""
         x, y = self.point(row[0], row[1])
         heading = self.turn * self.angle * row[2] + self.zero - self._heading
         # A simulator may limit headings to one turn, but in a run, they must not jump by a turn.
         heading -= 2.0 * math.pi * round((heading - near) / (2.0 * math.pi))
-        if ahead := self._share * length - self._behind:
+        ahead = self._share * length - self._behind
+        if ahead:
             x -= ahead * math.cos(heading)
             y -= ahead * math.sin(heading)
         return x, y, heading, row[3] * self.speed
 
-    def stated(self, body: Any) -> tuple[float, float, float, float]:
+    def stated(self, body: Any) -> State:
         """Convert the state of a body to the units and axes of the simulator."""
-        x, y, heading = body.x, body.y, body.heading
+        x = body.x
+        y = body.y
+        heading = body.heading
         # The steps of `state` are undone in reverse order.
-        if ahead := self._share * body.length - self._behind:
+        ahead = self._share * body.length - self._behind
+        if ahead:
             x += ahead * math.cos(heading)
             y += ahead * math.sin(heading)
         x, y = x * self._cos - y * self._sin + self._x, y * self._cos + x * self._sin + self._y
@@ -302,17 +316,25 @@ class NativeDriver(PlannerDriver):
         decisions: Sequence[Any],
         every: int,
     ) -> None:
-        self._loop, self._checked_before, self._observed = vehicles.loop, decisions, Observed()
+        self._loop = vehicles.loop
+        self._checked_before = decisions
+        self._observed = Observed()
         self._action: Any = None
-        self._hidden = ads.npc if isinstance(ads, Unseeing) else None
+        self._hidden: int | None = None
+        if isinstance(ads, Unseeing):
+            self._hidden = ads.npc
         check_by(ads, self._check_action)
-        ego, place, dt = (
+        super().__init__(
+            ads,
+            guard,
+            (),
             vehicles.vehicles[0],
             vehicles.places.bodies[0],
-            1 / vehicles.rules.physics_hz,
-        )
-        super().__init__(
-            ads, guard, (), ego, place, self._observed, lanes=0, lane_width=0.0, every=every, dt=dt
+            self._observed,
+            lanes=0,
+            lane_width=0.0,
+            every=every,
+            dt=1 / vehicles.rules.physics_hz,
         )
 
     def decide(self, tick: int) -> AdsError | None:
@@ -346,21 +368,24 @@ class NativeDriver(PlannerDriver):
         except ValueError as error:
             raise BadAction(str(error)) from error
         except Exception as error:
-            name, kind = type(simulator).__name__, type(error).__name__
-            raise BadAction(f"{name}.check_action({action!r:.100}): {kind}: {error}") from error
+            method = f"{type(simulator).__name__}.check_action({action!r:.100})"
+            raise BadAction(f"{method}: {type(error).__name__}: {error}") from error
         checked = copy.deepcopy(checked)  # the policy may use its array again
-        return OwnUnits(checked) if type(checked) is tuple else checked
+        if type(checked) is tuple:
+            return OwnUnits(checked)
+        return checked
 
     def actuate(self) -> None:
-        # The package's own model drives straight ahead in this tick.
         simulation = self._loop.simulation
         if self._action is None:
-            place = f"{type(simulation.simulator).__name__}.check_action"
-            fix = "is a `return` missing?"
             raise WorldError(
-                field=place, expected="the method to return the action", received="None", fix=fix
+                field=f"{type(simulation.simulator).__name__}.check_action",
+                expected="the method to return the action",
+                received="None",
+                fix="is a `return` missing?",
             )
         simulation.action = self._action
+        # The package's own model drives straight ahead in this tick.
         self.ego.acceleration = self.ego.steering = 0.0
 
 
@@ -368,12 +393,7 @@ class Simulation:
     """One run in a simulator."""
 
     def __init__(
-        self,
-        simulators: Simulators,
-        frame: Frame,
-        vehicles: VehiclesOfRun,
-        seed: int,
-        guard: HangGuard,
+        self, simulators: Simulators, frame: Frame, vehicles: VehiclesOfRun, guard: HangGuard
     ) -> None:
         self._simulators = simulators
         self._frame = frame
@@ -387,7 +407,7 @@ class Simulation:
         try:
             self._starts = self._vehicles(vehicles)
             with self._called("start"):
-                self.simulator.start(self._starts, seed)
+                self.simulator.start(self._starts, vehicles.scenario.seed)
             self._rows = self._read()
             states = self._in_run(self._rows)
             self._check(states, range(len(self._starts)), STARTS, "start")
@@ -396,18 +416,19 @@ class Simulation:
             raise
         self._speeds = [body.speed for body in self._bodies]
         self._plausibility = vehicles.plausibility = Plausibility(states, 1.0 / self._hz)
-        self._put = range(1, len(self._bodies) if self.simulator.moves_ego_only else 1)
+        # The NPCs that the simulator puts into the states of their controls.
+        self._put = range(0)
+        if self.simulator.moves_ego_only:
+            self._put = range(1, len(self._bodies))
         self._is_sound = True
 
     def _vehicles(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
-        frame, rules, scenario = self._frame, vehicles.rules, vehicles.scenario
-        kinds = [rules.ego, *scenario.all_vehicles]
+        metres = self._frame.metres
+        kinds = [vehicles.rules.ego, *vehicles.scenario.all_vehicles]
         starts = []
-        for number, (body, kind) in enumerate(zip(self._bodies, kinds, strict=True)):
-            pose = frame.stated(body)
-            size = body.length / frame.metres, body.width / frame.metres
-            lane = vehicles.places.bodies[number].lane
-            starts.append(Vehicle(*pose, *size, lane, kind.name))
+        for body, place, kind in zip(self._bodies, vehicles.places.bodies, kinds, strict=True):
+            size = body.length / metres, body.width / metres
+            starts.append(Vehicle(*self._frame.stated(body), *size, place.lane, kind.name))
         return starts
 
     def move(self) -> None:
@@ -417,7 +438,8 @@ class Simulation:
             WorldError: if the first tick shows that the simulator mixes up units, axes or vehicles.
             Implausible: if a vehicle later moves in an impossible way.
         """
-        frame, bodies = self._frame, self._bodies
+        frame = self._frame
+        bodies = self._bodies
         controls = [
             Control(
                 body.acceleration / frame.speed,
@@ -455,13 +477,12 @@ class Simulation:
         self._is_sound = True
 
     def observe(self, hidden: int | None = None) -> Any:
+        arguments = {}
+        if hidden is not None:  # otherwise, the method needs no such parameter
+            arguments["hidden"] = hidden
         self._is_sound = False
         with self._called("observe"):
-            seen = (
-                self.simulator.observe()
-                if hidden is None
-                else self.simulator.observe(hidden=hidden)
-            )
+            seen = self.simulator.observe(**arguments)
         self._is_sound = True
         return seen
 
@@ -474,19 +495,25 @@ class Simulation:
         except (TypeError, ValueError):
             rows = np.empty(0)
         if rows.shape != (count, 4):
-            expected = f"an array of shape ({count}, 4) with x, y, heading and speed of each vehicle, the ego first"
-            received = f"an array of shape {rows.shape}" if rows.size else f"{given!r:.200}"
-            raise WorldError(field=self._place("states"), expected=expected, received=received)
+            received = f"{given!r:.200}"
+            if rows.size:
+                received = f"an array of shape {rows.shape}"
+            raise self._refused(
+                "states",
+                f"an array of shape ({count}, 4) with x, y, heading and speed of each vehicle, the ego first",
+                received,
+            )
         if not np.isfinite(rows).all():
             number, column = np.argwhere(~np.isfinite(rows))[0].tolist()
-            received = f"{STARTS[column][0]} = {rows[number, column]} for {vehicle_name(number)}"
-            raise WorldError(
-                field=self._place("states"), expected="finite numbers", received=received
+            raise self._refused(
+                "states",
+                "finite numbers",
+                f"{STARTS[column][0]} = {rows[number, column]} for {vehicle_name(number)}",
             )
         stated: list[list[float]] = rows.tolist()
         return stated
 
-    def _in_run(self, rows: Any) -> list[tuple[float, float, float, float]]:
+    def _in_run(self, rows: Any) -> list[State]:
         return [
             self._frame.state(row, body.length, body.heading)
             for row, body in zip(rows, self._bodies, strict=True)
@@ -498,17 +525,20 @@ class Simulation:
                 wanted = getattr(self._bodies[number], name)
                 if abs(value - wanted) <= largest:
                     continue
-                place = f"{self._place('states')} after {method}"
                 unit = {"heading": "rad", "speed": "m/s"}.get(name, "m")
-                axes = " (y points to the right)" if name in ("y", "heading") else ""
-                expected = f"{name} = {wanted:.2f} {unit} for {vehicle_name(number)}{axes}"
+                axes = ""
+                if name in ("y", "heading"):
+                    axes = " (y points to the right)"
                 fix = "put each vehicle into the requested state, and return the states in the order of the vehicles"
                 if method == "start":
-                    received, states_has = _shown(self._starts[number]), _shown(self._rows[number])
-                    fix += f". In this run, start received {received}, and states returned {states_has}"
+                    received = _shown(self._starts[number])
+                    returned = _shown(self._rows[number])
+                    fix += (
+                        f". In this run, start received {received}, and states returned {returned}"
+                    )
                 raise WorldError(
-                    field=place,
-                    expected=expected,
+                    field=f"{self._place('states')} after {method}",
+                    expected=f"{name} = {wanted:.2f} {unit} for {vehicle_name(number)}{axes}",
                     received=f"{value:.2f} {unit}",
                     fix=f"{fix}. {CAUSE}",
                 )
@@ -516,50 +546,52 @@ class Simulation:
     def _check_way(self, rows: list[list[float]]) -> None:
         # In the first tick, vehicles must move in the direction of their headings, as far as their speeds imply.
         dt = 1.0 / self._hz
-        starts, ends = self._in_run(self._rows), self._in_run(rows)
-        for number, ((x, y, heading, speed), (to_x, to_y, *_)) in enumerate(
-            zip(starts, ends, strict=True)
-        ):
-            way = (to_x - x, to_y - y)
+        starts = self._in_run(self._rows)
+        ends = self._in_run(rows)
+        for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
+            x, y, heading, speed = start
+            way = (end[0] - x, end[1] - y)
             wanted = (speed * math.cos(heading) * dt, speed * math.sin(heading) * dt)
             # Turned wheels may turn the direction by the slip of the bicycle model.
             slips = abs(math.atan(math.tan(self._bodies[number].steering) / 2.0))
             most = (STRAYS + min(slips, 1.0)) * math.hypot(*wanted) + FASTEST_CHANGE * dt * dt
             if self._speeds[number] < MOVES or math.dist(way, wanted) <= most:
                 continue
-            expected = f"{vehicle_name(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading"
-            turned = abs(
-                (math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1])) + 180.0) % 360.0
-                - 180.0
-            )
-            received = (
-                f"a move of {math.hypot(*way):.2f} m, {turned:.0f} degrees off that direction"
-            )
-            fix = f"are hz, the units and the axes correct? Does states() return the states after the step? {CAUSE}"
-            raise WorldError(
-                field=self._place("states"), expected=expected, received=received, fix=fix
+            turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
+            off = abs((turned + 180.0) % 360.0 - 180.0)
+            raise self._refused(
+                "states",
+                f"{vehicle_name(number)} to move {math.hypot(*wanted):.2f} m in the direction of its heading",
+                f"a move of {math.hypot(*way):.2f} m, {off:.0f} degrees off that direction",
+                f"are hz, the units and the axes correct? Does states() return the states after the step? {CAUSE}",
             )
 
     def _place(self, method: str) -> str:
         return f"{type(self.simulator).__name__}.{method}, tick {self._tick}"
 
+    def _refused(self, method: str, expected: str, received: str, fix: str = "") -> WorldError:
+        return WorldError(field=self._place(method), expected=expected, received=received, fix=fix)
+
     @contextmanager
     def _called(self, method: str) -> Iterator[None]:
         # Each call of a method has a time limit, and errors in it name the method.
         guard = self._guard
-        limit, guard.limit = guard.limit, patience_with_world(guard.limit)
+        limit = guard.limit
+        most = guard.limit = patience_with_world(limit)
         try:
             try:
                 guard.decision_starts()
                 yield
             finally:
                 guard.decision_ends()
-                most, guard.limit = guard.limit, limit
+                guard.limit = limit
             guard.raise_swallowed()
         except AdsHang:
-            expected, fix = f"a return within {most:g} s", "increase the world's hang_limit"
-            raise WorldError(
-                field=self._place(method), expected=expected, received="none", fix=fix
+            raise self._refused(
+                method,
+                f"a return within {most:g} s",
+                "none",
+                "increase the world's hang_limit",
             ) from None
         except Exception as error:
             error.add_note(f"raised by {self._place(method)}")
@@ -631,6 +663,5 @@ def _close(process: int, simulators: list[Any]) -> None:
 
 
 def _shown(values: Sequence[Any]) -> str:
-    return ", ".join(
-        f"{name} = {value:.6g}" for (name, _), value in zip(STARTS, values, strict=False)
-    )
+    names = [name for name, _ in STARTS]
+    return ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, values, strict=False))

@@ -73,7 +73,11 @@ def _of_torch(torch: Any) -> _Generator:
         return lambda: float(torch.rand((), generator=own))
 
     return _Generator(
-        state, give_back, partial(_seed_torch, torch), lambda: float(torch.rand(())), seeded
+        state,
+        give_back,
+        partial(_seed_torch, torch),
+        lambda: float(torch.rand(())),
+        seeded,
     )
 
 
@@ -171,7 +175,8 @@ class _Generators:
                 self._seed(scenario.seed)
                 trace = rollout(scenario, factory, **given)
             if self._drew(self._seeded(scenario.seed)):
-                trace = replace(trace, drew=True) if isinstance(trace, Trace) else trace
+                if isinstance(trace, Trace):
+                    trace = replace(trace, drew=True)
             elif self._may_share and not _uses_gpu():
                 self.share()
             self._may_share = False

@@ -42,7 +42,8 @@ LONGEST_TIMER = 1e6
 SWALLOWING = frozenset({"weakref", "_weakrefset"})
 # A call of a simulator's or an environment's code may take this multiple of the world's `hang_limit`, and at least this
 # time [s]. A simulator may start slowly, but rarely takes as long as ten decisions at the limit.
-WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
+WORLD_SHARE = 10.0
+LEAST_FOR_WORLD = 60.0
 # One of these modules is on the stack while pdb, or an editor's debugger, waits for its user.
 DEBUGGERS = frozenset({"bdb", "pydevd"})
 
@@ -83,7 +84,8 @@ def runs_end_in(seconds: float) -> Iterator[None]:
 
     The exception is raised before the next decision. If blocks are nested, the limit of the inner block applies.
     """
-    before, _WATCHDOG.until = _WATCHDOG.until, monotonic() + seconds
+    before = _WATCHDOG.until
+    _WATCHDOG.until = monotonic() + seconds
     try:
         yield
     finally:
@@ -132,7 +134,8 @@ class OneProcess:
         if self.forked_at is not None:
             # While there is a child process, wait for it as long as this process has taken since the fork.
             now = monotonic()
-            until, self.forked_at = now + (now - self.forked_at) + COPY_LATE, None
+            until = now + (now - self.forked_at) + COPY_LATE
+            self.forked_at = None
             with suppress(ChildProcessError, AttributeError):  # not every system has WNOWAIT
                 while not self._noticed[0] and monotonic() < until:
                     os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
@@ -168,7 +171,9 @@ class HangGuard:
         self.limit = limit
         self.clock = clock
         # No decision starts from this time by the clock [s].
-        self.until = _WATCHDOG.until if is_limited else math.inf
+        self.until = math.inf
+        if is_limited:
+            self.until = _WATCHDOG.until
         # The start of the running decision by the clock [s]. A decision is guarded while it is set. A caller may end a
         # decision without a lock: it clears `started` first and then reads the clock. If the decision was within the
         # limit by that clock, and ended before `until`, no thread has found it overdue, because the watching thread
@@ -238,7 +243,8 @@ class HangGuard:
             KeyboardInterrupt: if the user ended the session during the decision.
         """
         # Called after `decision_ends`, outside of its `finally`, so that an exception that ends the decision is kept.
-        interruption, self.interruption = self.interruption, None
+        interruption = self.interruption
+        self.interruption = None
         if interruption is not None:
             raise interruption
 
@@ -259,7 +265,8 @@ class HangGuard:
     def settle(self) -> None:
         """Wait for an interruption that has been sent. The caller must have set ``started`` to None."""
         with self._lock:
-            sent, self._sent = self._sent, False
+            sent = self._sent
+            self._sent = False
         if sent:
             # The exception must arrive here. If it is cancelled, CPython 3.11 checks for an exception forever, and
             # hangs as soon as a debugger or a coverage tool traces the thread.
@@ -274,7 +281,9 @@ class HangGuard:
         # Interrupts an overdue decision, and returns how long it has ignored interruptions [s]. Only the watching
         # thread calls this method.
         with self._lock:
-            now, started = self.clock(), self.started  # in this order; see `started`
+            # in this order; see `started`
+            now = self.clock()
+            started = self.started
             why = self._interruption(now, started)
             if why is None or started is None:
                 return 0.0
@@ -300,13 +309,11 @@ class HangGuard:
     def _interruption(self, now: float, started: float | None) -> type[BaseException] | None:
         if started is None:
             return None
-        return (
-            AdsHang
-            if now - started > self.limit
-            else OutOfTime
-            if now > self.until + LATE
-            else None
-        )
+        if now - started > self.limit:
+            return AdsHang
+        if now > self.until + LATE:
+            return OutOfTime
+        return None
 
     def _received(self, number: int, frame: FrameType | None) -> None:
         now = self.clock()  # before started is read; see `started`
@@ -352,7 +359,9 @@ class _Watchdog:
             if self._thread is None:
                 self._pause = guard.pause
                 self._thread = threading.Thread(
-                    target=self._run, name="pafot-hang-guard", daemon=True
+                    target=self._run,
+                    name="pafot-hang-guard",
+                    daemon=True,
                 )
                 self._thread.start()
             elif guard.pause < self._pause:
@@ -365,7 +374,8 @@ class _Watchdog:
 
     def set_resort(self, resort: LastResort | None) -> LastResort | None:
         with self._lock:
-            before, self._resort = self._resort, resort
+            before = self._resort
+            self._resort = resort
             self._stop_timer()
             return before
 
@@ -390,7 +400,8 @@ class _Watchdog:
             self._wake.wait(self._pause)
             self._wake.clear()
             with self._lock:
-                guards, resort = self.guards.copy(), self._resort
+                guards = self.guards.copy()
+                resort = self._resort
                 self._start_timer()
             ignored = max([guard.look() for guard in guards], default=0.0)
             if (
@@ -479,7 +490,9 @@ class Around:
 
 def exits() -> tuple[type[BaseException], ...]:
     """Return a tuple with the exception class of ``pytest.exit()``, or an empty tuple if pytest is not imported."""
-    return (sys.modules["pytest"].exit.Exception,) if "pytest" in sys.modules else ()
+    if "pytest" in sys.modules:
+        return (sys.modules["pytest"].exit.Exception,)
+    return ()
 
 
 def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
@@ -535,12 +548,11 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
                 *traceback.StackSummary.from_list(kept).format(),
             ]
         )
-        kind, message = (
-            "Hang",
-            "one decision took longer than the hang limit of the world and was interrupted",
-        )
+        kind = "Hang"
+        message = "one decision took longer than the hang limit of the world and was interrupted"
         if isinstance(error, WorldHang):
-            kind, message = WORLD_HANG, str(error)
+            kind = WORLD_HANG
+            message = str(error)
         return AdsError(kind=kind, message=message, traceback=where, tick=tick, interrupted=True)
     report = traceback.TracebackException(type(error), error, _users_part(error))
     return AdsError(
@@ -569,7 +581,9 @@ def closing(ads: Any, hang_limit: float) -> Iterator[None]:
     try:
         yield
     finally:
-        close = None if isinstance(ads, type) else getattr(ads, "close", None)
+        close = None
+        if not isinstance(ads, type):
+            close = getattr(ads, "close", None)
         if callable(close):
             call_close(close, "ads.close", hang_limit)
 
@@ -585,16 +599,12 @@ def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
             close()
     except UNFIT as error:
         failed = error_of(error, 0, guard)
-        what = (
-            f"a call that returns within {guard.limit:g} s"
-            if failed.interrupted
-            else "no exception"
-        )
-        received = (
-            "one that had to be interrupted"
-            if failed.interrupted
-            else f"{failed.kind}: {failed.message}"
-        )
+        what = "no exception"
+        if failed.interrupted:
+            what = f"a call that returns within {guard.limit:g} s"
+        received = "one that had to be interrupted"
+        if not failed.interrupted:
+            received = f"{failed.kind}: {failed.message}"
         text = f"{name}: expected {what}, received {received}. This does not change the result of the run"
         try:
             warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -25,7 +25,8 @@ KP_SPEED = 1.0 / 0.6
 # largest angle to the lane at which highway-env's vehicles approach its centre [rad]
 STEEPEST = math.pi / 4
 
-LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
+LATERAL_ACCELERATION = 2.5
+LATERAL_JERK = 3.0
 """The default limits on lateral acceleration [m/s^2] and lateral jerk [m/s^3] in a :class:`LaneCommand`.
 
 UN R79, 5.6.2.1.3, allows 3 and 5. The defaults are lower because braking or speeding up in a turn increases both
@@ -120,12 +121,16 @@ def not_zero(value: float) -> float:
     """Replace a number close to zero with 0.01 or -0.01, so that it can be a divisor."""
     if abs(value) > 1e-2:
         return value
-    return 1e-2 if value >= 0.0 else -1e-2
+    if value >= 0.0:
+        return 1e-2
+    return -1e-2
 
 
 def without_reversing(wanted: float, speed: float, dt: float) -> float:
     """Limit an acceleration [m/s^2] so that the vehicle stops instead of reversing."""
-    return max(wanted, -speed / dt) if wanted < 0.0 else wanted
+    if wanted < 0.0:
+        return max(wanted, -speed / dt)
+    return wanted
 
 
 def _floats(action: Any) -> tuple[float, float]:
@@ -144,17 +149,20 @@ def _checked_lane_command(command: LaneCommand, lanes: int) -> LaneCommand:
     given = [value for value in (command.speed, command.acceleration) if value is not None]
     if len(given) != 1:
         raise _bad_lane_command("either a speed [m/s] or an acceleration [m/s^2]", command)
-    most, jerk = command.lateral_acceleration, command.lateral_jerk
+    most = command.lateral_acceleration
+    jerk = command.lateral_jerk
     is_plain = (
         type(command.lane) is int
         and type(given[0]) is float
         and type(most) is float
         and type(jerk) is float
     )
-    lane, value = command.lane, given[0]
+    lane = command.lane
+    value = given[0]
     if not is_plain:  # these conversions take longer than the rest of a tick
         lane, value = _lane_and_value(command, given[0])
-        most, jerk = _finite(most), _finite(jerk)
+        most = _finite(most)
+        jerk = _finite(jerk)
     if not 0 <= lane < lanes:
         raise _bad_lane_command(f"a lane from 0, at the left, to {lanes - 1}", command)
     if not math.isfinite(value):
@@ -171,7 +179,10 @@ def _checked_lane_command(command: LaneCommand, lanes: int) -> LaneCommand:
         return command
     if command.speed is None:
         return LaneCommand(
-            lane=lane, acceleration=value, lateral_acceleration=most, lateral_jerk=jerk
+            lane=lane,
+            acceleration=value,
+            lateral_acceleration=most,
+            lateral_jerk=jerk,
         )
     return LaneCommand(lane=lane, speed=value, lateral_acceleration=most, lateral_jerk=jerk)
 
@@ -189,7 +200,9 @@ def _lane_and_value(command: LaneCommand, given: Any) -> tuple[int, float]:
 
 def _finite(value: Any) -> float:
     number = plain_number(value)
-    return -1.0 if number is None else float(number)
+    if number is None:
+        return -1.0
+    return float(number)
 
 
 def _bad_lane_command(expected: str, command: LaneCommand) -> BadAction:
@@ -204,7 +217,9 @@ def _expected(action: Any) -> str:
         hint = "return the two values as a tuple"
     expected = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.LaneCommand"
     received = f"{expected}, received {safe_repr(action)}"
-    return f"{received}; {hint}" if hint else received
+    if hint:
+        return f"{received}; {hint}"
+    return received
 
 
 def hint_at(action: Any) -> str:

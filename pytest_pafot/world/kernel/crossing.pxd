@@ -1,7 +1,6 @@
 cimport cython
 from libc cimport math
-from pytest_pafot.world.kernel.lanes cimport Track
-from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.lanes cimport Body, Track
 from pytest_pafot.world.kernel.director cimport BaseDirector, NetworkDirector, Npc
 from pytest_pafot.world.kernel.driver cimport NpcDriver, clear_to_enter, following_speed, gap_speed, speed_for_braking
 
@@ -37,7 +36,7 @@ cdef class CrossingNpc(Body):
     cdef int noticed
     cdef public list conflicts, leaders
 
-    @cython.locals(point=Py_ssize_t)
+    @cython.locals(point=Py_ssize_t, most=double)
     cdef void _plan(self) except *
 
     cpdef double lasts(self, double since, double until) except? -1
@@ -59,7 +58,7 @@ cdef class JunctionDirector(BaseDirector):
     @cython.locals(number=int)
     cpdef double ceiling(self, Npc npc) except? -1
 
-    @cython.locals(leader=LeaderAhead, theirs=Body, front=Body, rear=Body)
+    @cython.locals(leader=LeaderAhead, theirs=Body, closing_speed=double)
     cpdef bint leaves_room(self, Npc npc, int lane) except -1
 
     @cython.locals(track=Track, fastest=double, wanted=double, room=double, has_passed=bint, is_due=bint, is_late=bint,
@@ -68,6 +67,7 @@ cdef class JunctionDirector(BaseDirector):
 
     cdef double _speed_factor(self, CrossingNpc npc, Body ego) except? -1
 
+    @cython.locals(crossing=double)
     cdef double _time_to_entry(self, CrossingNpc npc, Body ego) except? -1
 
     cdef bint _reacts(self, CrossingNpc npc, Body ego) except -1
@@ -77,7 +77,8 @@ cdef class JunctionDirector(BaseDirector):
     @cython.locals(npc=CrossingNpc)
     cdef double _time_to(self, Body vehicle, double place) except? -1
 
-    @cython.locals(conflict=SharedPlace, theirs=Body, is_in=bint, comes=double, room=double, can_wait=bint)
+    @cython.locals(conflict=SharedPlace, theirs=Body, is_in=bint, comes=double, leaves=double, room=double,
+                   can_wait=bint)
     cdef double _giving_way(self, Body mine, int index, list conflicts, double wanted) except? -1
 
     cdef bint _is_beside(self, Body vehicle) except -1
@@ -85,5 +86,5 @@ cdef class JunctionDirector(BaseDirector):
     @cython.locals(leader=LeaderAhead, theirs=Body)
     cdef double _following(self, Body mine, list leaders, double wanted) except? -1
 
-    @cython.locals(track=Track)
+    @cython.locals(track=Track, course=double)
     cdef void _steer(self, CrossingNpc npc) except *

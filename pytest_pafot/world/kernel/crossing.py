@@ -18,7 +18,6 @@ from pytest_pafot.model.crossings import APART, BEFORE_LINE, EGOS, STEP, longer
 from pytest_pafot.model.instructions import ACTS, Cell, CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import BaseDirector, NetworkDirector, Npc, Start
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,
@@ -27,28 +26,32 @@ from pytest_pafot.world.kernel.driver import (
     gap_speed,
     speed_for_braking,
 )
-from pytest_pafot.world.kernel.lanes import Track
+from pytest_pafot.world.kernel.lanes import Body, Track
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
 # time before entering its zone at which an NPC stops adapting to the ego's arrival [s]
 FREEZE = 3.0
 # The limits of the factor by which an NPC changes its speed to adapt to the ego's arrival. With a smaller factor, the
 # NPC would wait for an ego that itself waits.
-SLOWEST, FASTEST = 0.5, 1.3
+SLOWEST = 0.5
+FASTEST = 1.3
 PASS, HOLD, STOP, LATE = range(4)  # acts of an NPC at its zone, in the order of ACTS
 # distance before a conflict at which an NPC waits until the ego or another NPC has passed [m]
 MARGIN = 1.0
 SETTING_OFF = 1.1  # time that a waiting NPC needs to reach its zone [s]
 # reaction time to an ego that has entered the NPC's zone [s], and hardest braking in that reaction [m/s^2]
-RESPONSE, ANSWER = 1.0, 6.0
+RESPONSE = 1.0
+ANSWER = 6.0
 # when an NPC must decide whether it can still stop: the time in which braking builds up [s], and the braking [m/s^2]
-BUILDING_UP, BRAKING = 0.4, 5.0
+BUILDING_UP = 0.4
+BRAKING = 5.0
 # lowest speed in predictions, because a vehicle that is nearly stationary may continue [m/s]
 LEAST_SPEED = 0.5
 ABREAST = 2.0  # distance from a path up to which a vehicle obstructs vehicles on that path [m]
 NEVER = -1
 # unlike math.inf and math.nan, these are C numbers in compiled code
-UNENDING, NOWHERE = math.inf, float("nan")
+UNENDING = math.inf
+NOWHERE = float("nan")
 
 
 class SharedPlace:
@@ -71,7 +74,9 @@ class LeaderAhead:
     def place(self, along: float) -> float:
         """Convert a position [m] on the vehicle's path to a position on the NPC's path, or to NaN."""
         point = int(along / STEP + 0.5)
-        return self.places[point] if 0 <= point < len(self.places) else NOWHERE
+        if 0 <= point < len(self.places):
+            return self.places[point]
+        return NOWHERE
 
 
 class CrossingNpc(Body):
@@ -118,17 +123,17 @@ class CrossingNpc(Body):
         self.leaders: list[LeaderAhead] = []
 
     def _plan(self) -> None:
-        speeds, times = self.speeds, self.times
+        speeds = self.speeds
+        times = self.times
         for point in range(len(speeds)):
-            most = (
-                gap_speed(max(self.middle - point * STEP, 0.0)) if self.act == STOP else self.wanted
-            )
+            most = self.wanted
+            if self.act == STOP:
+                most = gap_speed(max(self.middle - point * STEP, 0.0))
             speeds[point] = min(speeds[point], self.wanted, most)
             if point > 0:
                 # from the mean speed over a step, with a lower limit, so that stops take a finite time
-                times[point] = times[point - 1] + 2.0 * STEP / max(
-                    speeds[point] + speeds[point - 1], 2e-3
-                )
+                both = max(speeds[point] + speeds[point - 1], 2e-3)
+                times[point] = times[point - 1] + 2.0 * STEP / both
 
     def lasts(self, since: float, until: float) -> float:
         """Return the time [s] from one position to another at the planned speeds."""
@@ -198,7 +203,8 @@ class JunctionDirector(BaseDirector):
         way = self._junction.ways[instruction.zone].for_vehicle(kind, self._limits)
         limits = self._limits.for_vehicle(kind)
         zone = way.way.zone
-        act, speeds = ACTS.index(instruction.act), way.way.speeds.tolist()
+        act = ACTS.index(instruction.act)
+        speeds = way.way.speeds.tolist()
         driver = NpcDriver(limits, min(self._top_speed, kind.top_speed), kind.length, self._dt)
         npc = CrossingNpc(
             way.track,
@@ -211,7 +217,8 @@ class JunctionDirector(BaseDirector):
             (kind.length, kind.width),
             driver,
         )
-        npc.index, npc.slot = index, instruction.slot
+        npc.index = index
+        npc.slot = instruction.slot
         npc.turning = BEND_SHARE * limits.lateral_acceleration
         npc.begins = self._junction.crossings.start(instruction)
         return npc
@@ -219,20 +226,21 @@ class JunctionDirector(BaseDirector):
     def _related(self, number: int) -> tuple[list[SharedPlace], list[LeaderAhead]]:
         # The conflicts of a vehicle's path with other paths, and the vehicles that can be ahead in its lane.
         names = [EGOS, *(EGOS if each is None else each.zone for each in self._scenario.crossings)]
-        mine, conflicts, leaders = names[number], [], []
+        mine = names[number]
+        conflicts = []
+        leaders = []
+        own_excess = self._vehicles[number].length - CAR.length
         for other, theirs in enumerate(names):
             # the director of the grid handles pairs of vehicles on the ego's path
             if other == number or mine == theirs == EGOS:
                 continue
             if other > 0:
-                sizes = [self._vehicles[each].length - CAR.length for each in (number, other)]
-                conflicts += [
-                    SharedPlace(
-                        other, *(longer(*each) for each in zip(stretches, sizes, strict=True))
-                    )
-                    for stretches in self._junction.stretches(mine, theirs)
-                ]
-            if (places := self._junction.places(mine, theirs)) is not None:
+                excess = self._vehicles[other].length - CAR.length
+                for own, its in self._junction.stretches(mine, theirs):
+                    conflict = SharedPlace(other, longer(own, own_excess), longer(its, excess))
+                    conflicts.append(conflict)
+            places = self._junction.places(mine, theirs)
+            if places is not None:
                 leaders.append(LeaderAhead(other, places))
         return conflicts, leaders
 
@@ -245,48 +253,51 @@ class JunctionDirector(BaseDirector):
             next(chains) if each is None else chain
             for each, chain in zip(self._scenario.crossings, self._scenario.npcs, strict=True)
         )
-        return self._scenario if npcs == self._scenario.npcs else replace(self._scenario, npcs=npcs)
+        if npcs == self._scenario.npcs:
+            return self._scenario
+        return replace(self._scenario, npcs=npcs)
 
     @property
     def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
-        return self._with_crossing(() if self._grid is None else self._grid.driven_cells)
-
-    def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
-        others = iter(rows)
-        return (
-            tuple(next(others) if each is None else () for each in self._scenario.crossings)
-            if rows
-            else ()
-        )
+        if self._grid is None:
+            return ()
+        cells = self._grid.driven_cells
+        if not cells:
+            return ()
+        on_grid = iter(cells)
+        return tuple(next(on_grid) if each is None else () for each in self._scenario.crossings)
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        others = iter(() if self._grid is None else self._grid.arrivals)
-        return tuple(
-            (npc.entered if npc.entered >= 0 else None,)
-            if isinstance(npc, CrossingNpc)
-            else next(others)
-            for npc in self.npcs
-        )
+        rows: list[tuple[int | None, ...]] = []
+        for npc in self.npcs:
+            if isinstance(npc, Npc):
+                rows.append(tuple(npc.arrivals))
+            elif npc.entered == NEVER:
+                rows.append((None,))
+            else:
+                rows.append((npc.entered,))
+        return tuple(rows)
 
     def first_cells(self) -> tuple[Cell, ...]:
-        return () if self._grid is None else self._grid.first_cells()
+        if self._grid is None:
+            return ()
+        return self._grid.first_cells()
 
     def started(self, starts: list[Start]) -> list[Start]:
-        on_grid = iter(starts if self._grid is None else self._grid.started(starts))
+        on_grid = iter(starts)
         return [
             self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs
         ]
 
     def _start(self, npc: CrossingNpc) -> Start:
-        track, along = npc.track, npc.begins
+        track = npc.track
+        along = npc.begins
         # just after a bend, there is still slip
         turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length
         fastest = math.sqrt(npc.turning / max(turn, 1e-9))
-        return along, (
-            *track.pose(along),
-            min(track.value(npc.speeds, along), fastest, npc.driver.top_speed),
-        )
+        speed = min(track.value(npc.speeds, along), fastest, npc.driver.top_speed)
+        return along, (*track.pose(along), speed)
 
     def command(self, ego: Body) -> None:
         self._vehicles[0] = ego
@@ -316,10 +327,11 @@ class JunctionDirector(BaseDirector):
             along = leader.place(theirs.x)
             if math.isnan(along):
                 continue
-            front, rear = (theirs, npc) if along > npc.x else (npc, theirs)
-            if not clear_to_enter(
-                abs(along - npc.x) - (npc.length + theirs.length) / 2.0, rear.speed - front.speed
-            ):
+            closing_speed = theirs.speed - npc.speed
+            if along > npc.x:  # it is ahead of the NPC
+                closing_speed = npc.speed - theirs.speed
+            gap = abs(along - npc.x) - (npc.length + theirs.length) / 2.0
+            if not clear_to_enter(gap, closing_speed):
                 return False
         return True
 
@@ -361,17 +373,18 @@ class JunctionDirector(BaseDirector):
         now = self._tick * self._dt
         if not npc.is_frozen:
             speed = max(ego.speed, 0.1)
-            first, last = (npc.ego_enters - ego.x) / speed, (npc.ego_leaves - ego.x) / speed
-            crossing = 0.0 if npc.act == STOP else npc.lasts(npc.enters, npc.leaves)
+            first = (npc.ego_enters - ego.x) / speed
+            last = (npc.ego_leaves - ego.x) / speed
+            crossing = 0.0
+            if npc.act != STOP:
+                crossing = npc.lasts(npc.enters, npc.leaves)
             # A positive slot means after the ego, a negative slot before the ego, and 0 together with the ego.
             if npc.slot > 0.0:
                 due = last + npc.slot
+            elif npc.slot < 0.0:
+                due = first + npc.slot - crossing
             else:
-                due = (
-                    first + npc.slot - crossing
-                    if npc.slot < 0.0
-                    else (first + last - crossing) / 2.0
-                )
+                due = (first + last - crossing) / 2.0
             # limited to a time that the NPC can reach within SLOWEST and FASTEST
             if npc.act != LATE:
                 left = npc.lasts(npc.x, npc.enters)
@@ -408,7 +421,11 @@ class JunctionDirector(BaseDirector):
         return (place - vehicle.x) / max(vehicle.speed, LEAST_SPEED)
 
     def _giving_way(
-        self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float
+        self,
+        mine: Body,
+        index: int,
+        conflicts: list[SharedPlace],
+        wanted: float,
     ) -> float:
         """Limit a desired speed [m/s] so that an NPC gives way if another NPC would reach a conflict at the same time.
 
@@ -421,20 +438,20 @@ class JunctionDirector(BaseDirector):
             if self._is_beside(theirs) or self._is_beside(mine):
                 continue
             is_in = theirs.x >= conflict.its_begins
-            comes = 0.0 if is_in else self._time_to(theirs, conflict.its_begins)
+            comes = 0.0
+            if not is_in:
+                comes = self._time_to(theirs, conflict.its_begins)
             if comes > self._time_to(mine, conflict.ends) + APART:  # this NPC passes first
                 continue
-            if (
-                self._time_to(mine, conflict.begins)
-                > self._time_to(theirs, conflict.its_ends) + APART
-            ):
+            leaves = self._time_to(theirs, conflict.its_ends)
+            if self._time_to(mine, conflict.begins) > leaves + APART:
                 continue
             room = conflict.begins - MARGIN - mine.x
             if not is_in:  # an NPC that can no longer stop does not have to give way
+                if not can_stop(room + MARGIN, mine.speed):
+                    continue
                 can_wait = can_stop(conflict.its_begins - theirs.x, theirs.speed)
-                if not can_stop(room + MARGIN, mine.speed) or (
-                    can_wait and conflict.other > index + 1
-                ):
+                if can_wait and conflict.other > index + 1:
                     continue
             wanted = min(wanted, stopping_speed(room, mine.speed))
         return wanted
@@ -456,13 +473,17 @@ class JunctionDirector(BaseDirector):
 
     def _steer(self, npc: CrossingNpc) -> None:
         track = npc.track
-        direction, lean = track.value(track.heading, npc.x), track.value(track.lean, npc.x)
+        direction = track.value(track.heading, npc.x)
+        lean = track.value(track.lean, npc.x)
         later = npc.x + npc.speed * self._dt
         turn = track.value(track.heading, later) + track.value(track.lean, later) - direction - lean
+        course = 0.0
+        if self._tick:
+            course = npc.course - direction
         npc.steering = npc.driver.steering_in_bend(
             npc.y,
             npc.heading,
-            npc.course - direction if self._tick else 0.0,
+            course,
             npc.speed,
             lean,
             turn,

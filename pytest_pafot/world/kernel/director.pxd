@@ -1,7 +1,6 @@
 cimport cython
 from libc cimport math
-from pytest_pafot.world.kernel.lanes cimport Bends
-from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.lanes cimport Bends, Body
 from pytest_pafot.world.kernel.driver cimport (
     NpcDriver, clear_to_enter, closing_room, following_gap, following_speed, gap_speed, speed_for_braking,
     stopping_room,
@@ -68,9 +67,9 @@ cdef class Director(BaseDirector):
 
     cpdef double _stretch(self, Body body) except? -1
 
-    @cython.locals(least_speed=double, is_behind=bint, has_moved_in=bint, is_led=bint, before=int, place=int, x=double,
-                   ego_speed=double, ahead=double, gained=double, braking=double, seconds=double, gap=double,
-                   safe=double)
+    @cython.locals(least_speed=double, is_in_track=bint, moves_in=bint, sideways=double, has_moved_in=bint, is_led=bint,
+                   before=int, place=int, x=double, ego_speed=double, ahead=double, gained=double, braking=double,
+                   seconds=double, gap=double, safe=double)
     cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final
@@ -113,7 +112,7 @@ cdef class NetworkDirector(Director):
 
     cdef void _move(self, Npc npc, int goal, double wanted) except *
 
-    @cython.locals(target_lane=int, shift=int, goal=int)
+    @cython.locals(target_lane=int, shift=int, goal=int, due_lane=int)
     cdef (int, double) _aim(self, Npc npc, Body ego)
 
     @cython.locals(wanted=int, side=int, other=int)

@@ -22,7 +22,6 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import Chromosome, Scenario, on_grid, with_targets
 from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,
     clear_to_enter,
@@ -33,7 +32,7 @@ from pytest_pafot.world.kernel.driver import (
     speed_for_braking,
     stopping_room,
 )
-from pytest_pafot.world.kernel.lanes import Bends, Lanes
+from pytest_pafot.world.kernel.lanes import Bends, Body, Lanes
 from pytest_pafot.world.limits import NpcLimits
 
 # lateral distance from a cell's centre within which an NPC has arrived [m]; along the lane, it is half the NPC's length
@@ -55,7 +54,8 @@ TRACK = 0.3
 REACTION = 1.0  # reaction time of an NPC to unexpected behaviour of the ego [s]
 ANSWER = 6.0  # hardest braking of an NPC in that reaction [m/s^2]
 # reaction time and braking of the ego for which an NPC leaves room when it moves in ahead [s, m/s^2]
-ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
+ENTRY_TIME = 0.35
+ENTRY_BRAKING = 6.0
 ENTRY_GAP = 1.5  # smallest gap at which an NPC moves in behind an ego of equal speed [m]
 NOT_BEHIND = -1
 
@@ -74,7 +74,13 @@ BETWEEN_LANES = 0.5
 class Npc(Body):
     """An NPC in road coordinates, with the data that a director stores about it."""
 
-    def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
+    def __init__(
+        self,
+        index: int,
+        chain: Chromosome,
+        length: float,
+        width: float,
+    ) -> None:
         super().__init__(length, width)
         self.driver: Any = None
         self.limits: Any = None
@@ -172,20 +178,26 @@ class Director(BaseDirector):
         for npc, kind in zip(self.npcs, kinds, strict=True):
             # equal vehicles share a controller, which keeps no state between two calls
             if kind is not before:
-                before, own = kind, limits.for_vehicle(kind)
+                before = kind
+                own = limits.for_vehicle(kind)
                 top_speed = min(limits.overspeed * speed_limit, kind.top_speed)
                 driver = NpcDriver(
-                    own, top_speed, npc.length, 1 / physics_hz, traffic.lateral_speed
+                    own,
+                    top_speed,
+                    npc.length,
+                    1 / physics_hz,
+                    traffic.lateral_speed,
                 )
                 # half the length of ego and NPC together, and half the length by which the NPC exceeds a car [m]
-                half_lengths, longer = (
-                    (ego_length + npc.length) / 2.0,
-                    max(npc.length - CAR.length, 0.0) / 2.0,
-                )
+                half_lengths = (ego_length + npc.length) / 2.0
+                longer = max(npc.length - CAR.length, 0.0) / 2.0
                 self._row = max(self._row, half_lengths)
                 self._far = max(self._far, npc.length + stopping_room(top_speed))
-            npc.limits, npc.driver, npc.top_speed = own, driver, top_speed
-            npc.half_lengths, npc.longer = half_lengths, longer
+            npc.limits = own
+            npc.driver = driver
+            npc.top_speed = top_speed
+            npc.half_lengths = half_lengths
+            npc.longer = longer
         self._attentive = traffic.is_attentive
         self._least_share = traffic.least_speed_share
         self._speed_limit = speed_limit
@@ -235,16 +247,16 @@ class Director(BaseDirector):
 
     def first_cells(self) -> tuple[Cell, ...]:
         """Return the cells in which the NPCs start, with impossible cells replaced."""
-        existing = self._first_existing()
         # NPCs on the grid come first. The other NPCs get the remaining cells.
-        held = self._repaired(
-            None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0
-        )
-        on_grid, free = (
-            iter(held),
-            iter([cell for cell in LANE_STARTS if cell in existing and cell not in held]),
-        )
+        held = self._first_on_grid()
+        remaining = self._first_existing().difference(held)
+        on_grid = iter(held)
+        free = iter([cell for cell in LANE_STARTS if cell in remaining])
         return tuple([next(on_grid if npc.chain[0].on_grid else free) for npc in self.npcs])
+
+    def _first_on_grid(self) -> tuple[Cell, ...]:
+        wanted = [npc.chain[0].cell for npc in self._on_grid]
+        return self._repaired(None, wanted, self._first_existing(), self._on_grid, 0)
 
     def command(self, ego: Body) -> None:
         if self._left == 0:
@@ -288,25 +300,18 @@ class Director(BaseDirector):
         gene = self._gene
         active = [npc for npc in self._on_grid if gene < len(npc.chain)]
         if gene:
-            before, wanted = (
-                [npc.executed[-1] for npc in active],
-                [npc.chain[gene].cell for npc in active],
-            )
+            before = [npc.executed[-1] for npc in active]
+            wanted = [npc.chain[gene].cell for npc in active]
             cells = self._repaired(before, wanted, self._existing(ego), active, gene)
         else:
-            cells = tuple(
-                [
-                    cell
-                    for npc, cell in zip(self.npcs, self.first_cells(), strict=True)
-                    if npc in active
-                ]
-            )
+            cells = self._first_on_grid()
             for npc in self.npcs:
                 npc.heading_for = npc.lane
         for npc, cell in zip(active, cells, strict=True):
             npc.executed.append(cell)
             npc.arrivals.append(None)
-            npc.row, npc.column = cell.row, cell.column
+            npc.row = cell.row
+            npc.column = cell.column
             npc.target = longitudinal_target(cell, npc.half_lengths, self._clearance)
             npc.target_speed = npc.chain[gene].speed
             npc.kept_lane = NO_LANE
@@ -318,7 +323,9 @@ class Director(BaseDirector):
                 has_lane = self._has_lane(npc, wanted_lane)
                 npc.executed.append(instruction.lane if has_lane else "keep")
                 npc.arrivals.append(None)
-                npc.shift_lane = wanted_lane if has_lane else npc.lane
+                npc.shift_lane = npc.lane
+                if has_lane:
+                    npc.shift_lane = wanted_lane
                 npc.kept_speed = instruction.speed
                 npc.kept_lane = NO_LANE
 
@@ -344,7 +351,9 @@ class Director(BaseDirector):
 
     def _control(self, npc: Npc, ego: Body) -> None:
         # Arrivals come first, because they determine the desired lane and speed in this tick.
-        target = self._target(npc, ego) if self._attentive else npc.target
+        target = npc.target
+        if self._attentive:
+            target = self._target(npc, ego)
         distance = ego.x + target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
             self._keep_lane_if_due(npc, ego.lane + npc.column, distance)
@@ -367,7 +376,10 @@ class Director(BaseDirector):
         npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         npc.steering = driver.steering(
-            npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed
+            npc.y - goal * self._lane_width,
+            npc.heading,
+            npc.course,
+            npc.speed,
         )
         npc.course = driver.course
 
@@ -392,37 +404,39 @@ class Director(BaseDirector):
         """Limit a desired speed [m/s] according to the driving style and the gap to an ego ahead."""
         least_speed = self._least_share * min(self._speed_limit, ego.speed)
         speed = max(speed, least_speed, npc.speed - self._easing)
-        is_behind = npc.x < ego.x and (
-            abs(ego.y - npc.y) < (npc.width + ego.width) / 2.0 + TRACK
-            or (npc.heading_for == ego.lane and npc.lane != ego.lane)
-        )
-        if not is_behind:
+        is_in_track = abs(ego.y - npc.y) < (npc.width + ego.width) / 2.0 + TRACK
+        moves_in = npc.heading_for == ego.lane and npc.lane != ego.lane
+        if npc.x >= ego.x or not (is_in_track or moves_in):
             npc.behind = NOT_BEHIND
             return speed
         if npc.behind == NOT_BEHIND:
-            has_moved_in = self._tick == 0 or abs(npc.speed * npc.heading) >= abs(
-                ego.speed * ego.heading
-            )
-            npc.behind = self._reaction if has_moved_in else 0
+            sideways = abs(npc.speed * npc.heading)
+            has_moved_in = self._tick == 0 or sideways >= abs(ego.speed * ego.heading)
+            npc.behind = 0
+            if has_moved_in:
+                npc.behind = self._reaction
         elif npc.behind < self._reaction:
             npc.behind += 1
         if npc.behind < self._reaction:
             return speed
         # The NPC expects an ego behind another NPC to brake, and reacts immediately. Otherwise, it reacts late.
         is_led = self._is_led(ego)
-        x, ego_speed = ego.x, ego.speed
+        x = ego.x
+        ego_speed = ego.speed
         # expected distance that the ego has driven since then, if it is still braking as before [m]
         ahead = 0.0
         if not is_led and self._tick > 0:
             seen = self._seen
             # the two oldest entries
-            before, place = self._tick % self._kept, (self._tick + 1) % self._kept
-            x, ego_speed = seen[2 * place], seen[2 * place + 1]
+            before = self._tick % self._kept
+            place = (self._tick + 1) % self._kept
+            x = seen[2 * place]
+            ego_speed = seen[2 * place + 1]
             gained = ego_speed - seen[2 * before + 1]
             braking = max(-gained * self._reaction / self._delay, 0.0)
-            seconds = (
-                ego_speed / braking if 0.0 < ego_speed < braking * self._delay else self._delay
-            )
+            seconds = self._delay
+            if 0.0 < ego_speed < braking * self._delay:
+                seconds = ego_speed / braking
             ahead = (ego_speed - braking * seconds / 2.0) * seconds
             ego_speed -= braking * seconds
         gap = (x - npc.x) * self._stretch(npc) + ahead - npc.half_lengths
@@ -437,7 +451,9 @@ class Director(BaseDirector):
         if npc.x > ego.x:
             # An NPC with a Lane-Instruction brakes to its target speed while it moves in. An NPC on the grid first
             # reaches its cell.
-            speed = npc.speed if npc.shift_lane == NO_LANE else min(npc.speed, npc.kept_speed)
+            speed = npc.speed
+            if npc.shift_lane != NO_LANE:
+                speed = min(npc.speed, npc.kept_speed)
             closing = max(ego.speed - speed, 0.0)
             return gap > self._ahead(ego) + closing * (ENTRY_TIME + closing / (2.0 * ENTRY_BRAKING))
         return gap > closing_room(ENTRY_GAP, npc.speed - ego.speed)
@@ -485,16 +501,19 @@ class Director(BaseDirector):
         claims = theirs.heading_for == lane and theirs.index < mine.index
         if not (in_lane or claims):
             return True
-        front, rear = mine, theirs
+        front = mine
+        rear = theirs
         if theirs.x > mine.x:  # in compiled code, a conditional expression would create a tuple
-            front, rear = theirs, mine
+            front = theirs
+            rear = mine
         return clear_to_enter(self._gap(front, rear), rear.speed - front.speed)
 
     def _gap(self, front: Npc, rear: Npc) -> float:
         return front.x - rear.x - (front.length + rear.length) / 2.0
 
     def _following(self, mine: Npc, speed: float) -> float:
-        lane, goal = mine.lane, mine.heading_for
+        lane = mine.lane
+        goal = mine.heading_for
         for theirs in self.npcs:
             distance = theirs.x - mine.x
             if distance < 0.0 or distance >= self._far or theirs is mine:
@@ -542,7 +561,12 @@ class NetworkDirector(Director):
         narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
         lanes = Lanes(road.lane_count, road.lane_width, road.end)
         super().__init__(
-            scenario, lanes, narrower, speed_limit=road.speed_limit, cells=(), **common
+            scenario,
+            lanes,
+            narrower,
+            speed_limit=road.speed_limit,
+            cells=(),
+            **common,
         )
         self.skips = True
         self._road: Any = road
@@ -559,19 +583,21 @@ class NetworkDirector(Director):
     @property
     def executed(self) -> Scenario:
         # A chain contains only steps between neighbouring cells, so it cannot express a step that skipped a cell.
-        return self._scenario if self.driven_cells else super().executed
+        if self.driven_cells:
+            return self._scenario
+        return super().executed
 
     @property
     def driven_cells(self) -> tuple[tuple[Cell, ...], ...]:
         cells = [tuple(npc.executed) for npc in self._on_grid]
         written = super().executed
         is_written = all(
-            [gene.cell for gene in chain[: len(row)]] == list(row)
+            tuple([gene.cell for gene in chain[: len(row)]]) == row
             for chain, row in zip(written.positions, cells, strict=True)
         )
-        return (
-            () if is_written else tuple(tuple(row) for row in on_grid(self._scenario.npcs, cells))
-        )
+        if is_written:
+            return ()
+        return tuple(tuple(row) for row in on_grid(self._scenario.npcs, cells))
 
     def _first_existing(self) -> frozenset[Cell]:
         return self._start_cells
@@ -581,7 +607,9 @@ class NetworkDirector(Director):
 
     def _existing(self, ego: Body) -> frozenset[Cell]:
         existing: frozenset[Cell] = self._road.cells(
-            ego.x, ego.lane, (self._row + self._clearance) / self._stretch(ego)
+            ego.x,
+            ego.lane,
+            (self._row + self._clearance) / self._stretch(ego),
         )
         return existing
 
@@ -625,21 +653,26 @@ class NetworkDirector(Director):
     def _aim(self, npc: Npc, ego: Body) -> tuple[int, float]:
         # The lane to steer to, and the desired speed [m/s] for the NPC's instruction.
         target_lane = ego.lane + npc.column
-        stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
-        along = self._target(npc, ego) if self._attentive else npc.target
+        stretch = self._stretch(npc)
+        ego_stretch = self._stretch(ego)
+        along = npc.target
+        if self._attentive:
+            along = self._target(npc, ego)
         target = ego.x + along / ego_stretch
         distance = (target - npc.x) * stretch
         shift = npc.shift_lane
         if npc.kept_lane < 0 <= shift:
             self._keep_shift_lane_if_there(npc, shift * self._width_of_lanes)
         elif npc.kept_lane < 0:
-            exists = self._bends.exists(target_lane, target)
-            self._keep_lane_if_due(npc, target_lane if exists else -1, distance)
+            due_lane = target_lane
+            if not self._bends.exists(target_lane, target):
+                due_lane = NO_LANE
+            self._keep_lane_if_due(npc, due_lane, distance)
         # If the goal is a lane, the desired speed is the instruction's. If it is a cell, it depends on the ego's speed.
         if npc.kept_lane >= 0 or shift >= 0:
-            return self._next_lane(
-                npc, npc.kept_lane if npc.kept_lane >= 0 else shift, ego
-            ), npc.kept_speed
+            if npc.kept_lane >= 0:
+                shift = npc.kept_lane
+            return self._next_lane(npc, shift, ego), npc.kept_speed
         goal = self._next_lane(npc, target_lane, ego)
         wanted = ego.speed * stretch / ego_stretch + gap_speed(distance)
         if goal != npc.lane:
@@ -656,29 +689,38 @@ class NetworkDirector(Director):
         if wanted != npc.lane or self._goes_on(npc.lane, npc):
             return wanted
         # The NPC's lane ends, so it prefers the neighbouring lane that is nearer to the ego's lane.
-        side, other = npc.lane - 1, npc.lane + 1
+        side = npc.lane - 1
+        other = npc.lane + 1
         if abs(other - ego.lane) < abs(side - ego.lane):
             side, other = other, side
         if self._goes_on(side, npc):
             return self._step(npc, side, ego)
-        return self._step(npc, other, ego) if self._goes_on(other, npc) else npc.lane
+        if self._goes_on(other, npc):
+            return self._step(npc, other, ego)
+        return npc.lane
 
     def _step(self, npc: Npc, target_lane: int, ego: Body) -> int:
         step = Director._next_lane(self, npc, target_lane, ego)  # C methods have no super()
         is_slow_enough = npc.speed <= npc.bends.speed_at(step, npc.x)
         has_room = step == npc.lane or self.others is None or self.others.leaves_room(npc, step)
-        return step if self._goes_on(step, npc) and is_slow_enough and has_room else npc.lane
+        if self._goes_on(step, npc) and is_slow_enough and has_room:
+            return step
+        return npc.lane
 
     def _goes_on(self, lane: int, npc: Npc) -> bool:
-        rear, later = npc.x - npc.length, npc.x + npc.length + LOOK_AHEAD * npc.speed
+        rear = npc.x - npc.length
+        later = npc.x + npc.length + LOOK_AHEAD * npc.speed
         return self._bends.continues(lane, max(rear, 0.0), later)
 
     def _steer(self, npc: Npc, goal: int) -> None:
-        bends, driver = npc.bends, npc.driver
-        direction, lean = bends.direction_at(goal, npc.x), bends.lean_at(goal, npc.x)
+        bends = npc.bends
+        driver = npc.driver
+        direction = bends.direction_at(goal, npc.x)
+        lean = bends.lean_at(goal, npc.x)
         # the position after the coming tick, from which the change of direction in that tick follows
         later = npc.x + npc.speed * self._dt / bends.stretch(npc.x, bends.across_at(goal, npc.x))
-        later_direction, later_lean = bends.direction_at(goal, later), bends.lean_at(goal, later)
+        later_direction = bends.direction_at(goal, later)
+        later_lean = bends.lean_at(goal, later)
         npc.steering = driver.steering_in_bend(
             npc.y - goal * self._width_of_lanes,
             bends.heading_at(npc.x) + npc.heading - direction,

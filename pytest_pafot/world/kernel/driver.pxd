@@ -31,7 +31,7 @@ cdef class NpcDriver:
     cpdef double steering_in_bend(self, double offset, double heading, double course, double speed, double lean,
                                   double turn, double sharpest) except? -1
 
-cdef double _turn(double angle) except? -1
+cpdef double wrap_angle(double angle) except? -1e300
 
 @cython.final
 cdef class LaneTracker:

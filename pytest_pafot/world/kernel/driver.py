@@ -103,7 +103,11 @@ def closing_room(gap: float, closing_speed: float) -> float:
 
 def clamp(value: float, bound: float) -> float:
     """Limit a number to [-bound, bound]."""
-    return bound if value > bound else -bound if value < -bound else value
+    if value > bound:
+        return bound
+    if value < -bound:
+        return -bound
+    return value
 
 
 class NpcDriver:
@@ -143,8 +147,11 @@ class NpcDriver:
     def acceleration(self, wanted_speed: float, previous: float, speed: float) -> float:
         """Return the acceleration [m/s^2] towards a desired speed, within all limits."""
         acceleration = SPEED_GAIN * (wanted_speed - speed)
-        before = 0.0 if speed <= 0.0 else previous
-        lowest, highest = before - self._jerk_step, before + self._jerk_step
+        before = previous
+        if speed <= 0.0:
+            before = 0.0
+        lowest = before - self._jerk_step
+        highest = before + self._jerk_step
         # max() is slower if interpreted
         lowest = lowest if lowest > -self._braking else -self._braking
         acceleration = lowest if acceleration < lowest else acceleration
@@ -168,9 +175,17 @@ class NpcDriver:
             release = math.sqrt(self._jerk_twice * (self.top_speed - speed)) - self._jerk_step / 2.0
             release = max(release, 0.0)
         acceleration = min(acceleration, self._acceleration)
-        return release if acceleration > release else acceleration
+        if acceleration > release:
+            return release
+        return acceleration
 
-    def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
+    def steering(
+        self,
+        offset: float,
+        heading: float,
+        course: float,
+        speed: float,
+    ) -> float:
         """Return the steering angle [rad] towards the centre of a lane, for highway-env's bicycle model.
 
         ``offset`` is the distance [m] to the right of the lane's centre. ``heading`` [rad] and ``course`` [rad], the
@@ -209,7 +224,9 @@ class NpcDriver:
         planned = spare - self._acceleration * abs(aside)  # speeding up also adds lateral speed
         planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
         lateral_speed = min(
-            LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed
+            LATERAL_GAIN * distance,
+            math.sqrt(2.0 * planned * distance),
+            self._lateral_speed,
         )
         # The heading follows the course with a delay and must not exceed its own limit, so the lean reduces the angle.
         bound = min(
@@ -217,7 +234,9 @@ class NpcDriver:
             math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest),
         )
         bound = max(min(bound, self._swing), 0.0)
-        wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
+        wanted = bound
+        if lateral_speed < speed:
+            wanted = math.asin(lateral_speed / speed)
         wanted = math.copysign(min(wanted, bound), -offset)
         # Neither the heading nor the course may turn faster than this.
         fastest = self._lateral_limit / speed
@@ -243,7 +262,13 @@ class LaneTracker:
         self._gain = min(TRACKING_GAIN, 0.5 / dt)
         self._course = self._acceleration = self._angle = 0.0  # course is heading plus slip
 
-    def begin(self, heading: float, angle: float, speed: float, most: float) -> None:
+    def begin(
+        self,
+        heading: float,
+        angle: float,
+        speed: float,
+        most: float,
+    ) -> None:
         """Start with a car's heading [rad], steering angle [rad] and speed [m/s], and its lateral limit [m/s^2]."""
         slip = math.atan(0.5 * math.tan(angle))
         rate = speed * math.sin(slip) / self._half_length
@@ -252,7 +277,12 @@ class LaneTracker:
         self._angle = angle
 
     def steering(
-        self, offset: float, heading: float, speed: float, most: float, jerk: float
+        self,
+        offset: float,
+        heading: float,
+        speed: float,
+        most: float,
+        jerk: float,
     ) -> float:
         """Return the steering angle [rad] for the coming tick, for highway-env's bicycle model.
 
@@ -264,7 +294,8 @@ class LaneTracker:
         turning = self._tightest * speed * speed
         # The heading follows the course within half the car's length. Speeding up on that distance sharpens the turn.
         share = speed * speed / (speed * speed + 2.0 * SPEEDING_UP * self._half_length)
-        limit, step = MARGIN * min(share * most, turning), MARGIN * jerk
+        limit = MARGIN * min(share * most, turning)
+        step = MARGIN * jerk
         # The course turns towards a lateral speed from which the car can still stop at the lane's centre.
         planned = LATERAL_SHARE * min(limit, math.cbrt(step * step * USEFUL_WIDTH))
         # The stopping distance from a lateral speed v is v^2 / 2a, plus v a / 2j while the deceleration a builds up.
@@ -272,8 +303,9 @@ class LaneTracker:
         lateral_speed = math.sqrt(ramp * ramp + 2.0 * planned * abs(offset)) - ramp
         slope = planned / (lateral_speed + ramp)
         if lateral_speed > speed * math.sin(LANE_ANGLE):
-            lateral_speed, slope = speed * math.sin(LANE_ANGLE), 0.0
-        missing = speed * _turn(
+            lateral_speed = speed * math.sin(LANE_ANGLE)
+            slope = 0.0
+        missing = speed * wrap_angle(
             math.asin(math.copysign(lateral_speed, -offset) / speed) - self._course
         )
         wanted = self._towards(missing, TRACKING_SHARE * step) - slope * speed * math.sin(
@@ -284,7 +316,7 @@ class LaneTracker:
         self._course += self._acceleration / speed * self._dt
         # If the heading would pass the course in this tick, it is turned exactly to the course.
         reach = max(speed * self._dt / self._half_length, 1.0)
-        slip = clamp(_turn(self._course - heading) / reach, MAX_SLIP)
+        slip = clamp(wrap_angle(self._course - heading) / reach, MAX_SLIP)
         self._angle = math.atan(2.0 * math.tan(slip))
         return self._angle
 
@@ -297,5 +329,6 @@ class LaneTracker:
         )
 
 
-def _turn(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
+    """Wrap an angle [rad] to [-pi, pi)."""
     return (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN

@@ -1,13 +1,10 @@
 cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.action cimport lane_steering, not_zero
-from pytest_pafot.world.kernel.lanes cimport Bends
-from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.lanes cimport Bends, Body, Lanes, Places
 from pytest_pafot.world.kernel.crossing cimport CrossingNpc
 from pytest_pafot.world.kernel.driver cimport clamp
 from pytest_pafot.world.kernel.lane_network cimport Network
-from pytest_pafot.world.kernel.lanes cimport Lanes
-from pytest_pafot.world.kernel.places cimport Places
 
 cdef double ON_LANE, LANE_ENDS, PURSUIT, NOWHERE, APART, LONGER, NARROWER
 cdef int MOMENTS
@@ -127,10 +124,9 @@ cdef class EgosRoadRules:
     @cython.locals(row=Py_ssize_t, its_row=Py_ssize_t)
     cdef bint _conflict(self, Body one, Body other) except -1
 
+    @cython.locals(predicted="double[::1]", along=int, across=int)
+    cdef bint _has_corner_inside(self, Body one, Py_ssize_t row, Body other, Py_ssize_t its_row) except -1
+
     cdef bint _comes_second(self, NetworkVehicle one, Body other) except -1
 
     cdef _foresee_npc(self, Py_ssize_t row, Body body, double time)
-
-@cython.locals(along=int, across=int)
-cdef bint _has_corner_inside(double x, double y, double heading, double length, double width, double other_x,
-                             double other_y, double other_heading, double other_length, double other_width) except -1

@@ -17,12 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pytest_pafot.world.kernel.action import lane_steering, not_zero
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc
 from pytest_pafot.world.kernel.driver import clamp
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.kernel.lanes import Bends, Lanes
-from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.lanes import Bends, Body, Lanes, Places
 
 # distance outside a lane's lines within which a vehicle still counts as in the lane [m]
 ON_LANE = 1.0
@@ -31,8 +29,11 @@ LANE_ENDS = 5.0
 NOWHERE = float("nan")
 PURSUIT = 0.1  # time by which a vehicle looks ahead along its lane to steer [s]
 # number of moments at which highway-env predicts vehicles, and time between them [s]
-MOMENTS, APART = 11, 0.25
-LONGER, NARROWER = 1.5, 0.9  # factors for a vehicle's length and width in these predictions
+MOMENTS = 11
+APART = 0.25
+# factors for a vehicle's length and width in these predictions
+LONGER = 1.5
+NARROWER = 0.9
 
 
 class GoalVehicle(Body):
@@ -65,7 +66,14 @@ class GoalVehicle(Body):
         self.timer = 0.0  # time since the last decision about lanes [s]
         self._routed = -1  # lane that the route requires, counted from the left; -1 for none
 
-    def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
+    def start(
+        self,
+        x: float,
+        y: float,
+        heading: float,
+        speed: float,
+        changes_lanes: bool,
+    ) -> None:
         """Start a run at x [m], y [m], heading [rad] and speed [m/s]. The speed is also the desired speed."""
         self.place(x, y, heading, speed)
         self._changes_lanes = changes_lanes
@@ -134,12 +142,14 @@ class GoalVehicle(Body):
 
     def _gains(self, lane: int, others: list[Body]) -> bool:
         """Return whether MOBIL recommends changing to a lane."""
-        ahead, behind = self._ahead(others, lane), self._behind(others, lane)
+        ahead = self._ahead(others, lane)
+        behind = self._behind(others, lane)
         # the new follower must not brake hard, even if a route requires it
         behind_then = self._idm(behind, self)
         if behind_then < -self._max_imposed:
             return False
-        left, follower = self._ahead(others, self.closest), self._behind(others, self.closest)
+        left = self._ahead(others, self.closest)
+        follower = self._behind(others, self.closest)
         own = self._idm(self, ahead)
         if self._routed >= 0:
             return self._is_demanded(lane) and own >= -self._max_imposed
@@ -158,7 +168,9 @@ class GoalVehicle(Body):
         if vehicle is None:
             return 0.0
         # other vehicles are assumed to desire their current speed
-        wanted = self.target_speed if vehicle is self else vehicle.speed
+        wanted = vehicle.speed
+        if vehicle is self:
+            wanted = self.target_speed
         liked = min(max(wanted, 0.0), self._speed_limit_of(vehicle))
         share = max(vehicle.speed, 0.0) / abs(not_zero(liked))
         # Treiber et al. 2000: free road, then the interaction with the vehicle in front
@@ -175,7 +187,8 @@ class GoalVehicle(Body):
         return self._speed_limit
 
     def _desired_gap(self, vehicle: Body, front: Body) -> float:
-        cos_h, sin_h = math.cos(vehicle.heading), math.sin(vehicle.heading)
+        cos_h = math.cos(vehicle.heading)
+        sin_h = math.sin(vehicle.heading)
         closing_x = vehicle.speed * cos_h - front.speed * math.cos(front.heading)
         closing_y = vehicle.speed * sin_h - front.speed * math.sin(front.heading)
         closing = closing_x * cos_h + closing_y * sin_h
@@ -189,7 +202,13 @@ class GoalVehicle(Body):
     def _steering(self) -> float:
         offset = self.y - self.goal * self._lanes.width
         angle = lane_steering(
-            offset, 0.0, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral
+            offset,
+            0.0,
+            self.heading,
+            self.speed,
+            self.length,
+            self._kp_heading,
+            self._kp_lateral,
         )
         return clamp(angle, self._max_steering)
 
@@ -270,15 +289,18 @@ class NetworkVehicle(GoalVehicle):
 
     def _is_demanded(self, lane: int) -> bool:
         number = self._network.numbers[self.goal]
-        return self._routed < number if lane < self.goal else self._routed > number
+        if lane < self.goal:
+            return self._routed < number
+        return self._routed > number
 
     def _idm(self, vehicle: Body | None, front: Body | None) -> float:
-        return (
-            0.0 if isinstance(vehicle, StaticObstacle) else GoalVehicle._idm(self, vehicle, front)
-        )
+        if isinstance(vehicle, StaticObstacle):
+            return 0.0
+        return GoalVehicle._idm(self, vehicle, front)
 
     def _distance_to(self, vehicle: Body, front: Body) -> float:
-        network, lane = self._network, self._lane_of(vehicle)
+        network = self._network
+        lane = self._lane_of(vehicle)
         network.locate(lane, front.x, front.y)
         there = network.along
         network.locate(lane, vehicle.x, vehicle.y)
@@ -288,38 +310,49 @@ class NetworkVehicle(GoalVehicle):
         return self._network.speed_limits[self._lane_of(vehicle)]
 
     def _lane_of(self, vehicle: Body) -> int:
-        return self.closest if vehicle is self else self._find_lane(vehicle)
+        if vehicle is self:
+            return self.closest
+        return self._find_lane(vehicle)
 
     def _steering(self) -> float:
-        network, goal = self._network, self.goal
+        network = self._network
+        goal = self.goal
         network.locate(goal, self.x, self.y)
-        offset, ahead = (
-            network.across,
-            network.heading_at(goal, network.along + self.speed * PURSUIT),
-        )
+        offset = network.across
+        ahead = network.heading_at(goal, network.along + self.speed * PURSUIT)
         angle = lane_steering(
-            offset, ahead, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral
+            offset,
+            ahead,
+            self.heading,
+            self.speed,
+            self.length,
+            self._kp_heading,
+            self._kp_lateral,
         )
         return clamp(angle, self._max_steering)
 
     def _ahead(self, others: list[Any], lane: int) -> Body | None:
-        found, nearest = None, math.inf
+        found = None
+        nearest = math.inf
         self._network.locate(lane, self.x, self.y)
         own = self._network.along
         for other in others:
             along = self._along(lane, other)
             if own <= along <= nearest and other is not self:  # also false for NaN
-                nearest, found = along, other
+                nearest = along
+                found = other
         return found
 
     def _behind(self, others: list[Any], lane: int) -> Body | None:
-        found, nearest = None, -math.inf
+        found = None
+        nearest = -math.inf
         self._network.locate(lane, self.x, self.y)
         own = self._network.along
         for other in others:
             along = self._along(lane, other)
             if nearest < along < own and other is not self:  # also false for NaN
-                nearest, found = along, other
+                nearest = along
+                found = other
         return found
 
     def _along(self, lane: int, other: Body) -> float:
@@ -368,7 +401,9 @@ class EgosRoadRules:
             npc = self._places.vehicles[number]
             for moment in range(MOMENTS):
                 self._foresee_npc(
-                    3 * (MOMENTS + moment), self._places.bodies[number], APART * (moment + 1)
+                    3 * (MOMENTS + moment),
+                    self._places.bodies[number],
+                    APART * (moment + 1),
                 )
             if self._conflict(ego, npc) and self._comes_second(ego, npc):
                 ego.target_speed = 0.0
@@ -382,11 +417,13 @@ class EgosRoadRules:
             vehicle.waited += 1
 
     def _predict(self, vehicle: NetworkVehicle) -> None:
-        network, route = self._network, vehicle.route()
+        network = self._network
+        route = vehicle.route()
         network.locate(vehicle.closest, vehicle.x, vehicle.y)
         here = network.along
         for moment in range(MOMENTS):
-            along, place = here + vehicle.speed * (APART * (moment + 1)), 0
+            along = here + vehicle.speed * (APART * (moment + 1))
+            place = 0
             at: int = route[0]
             while place < len(route) - 1 and along > network.lengths[at]:
                 along -= network.lengths[at]
@@ -395,91 +432,76 @@ class EgosRoadRules:
             network.position(at, along, 0.0)
             self._foresee(3 * moment, network.x, network.y, network.heading_at(at, along))
 
-    def _foresee(self, row: int, x: float, y: float, heading: float) -> None:
+    def _foresee(
+        self,
+        row: int,
+        x: float,
+        y: float,
+        heading: float,
+    ) -> None:
         self._predicted[row] = x
         self._predicted[row + 1] = y
         self._predicted[row + 2] = heading
 
     def _conflict(self, one: Body, other: Body) -> bool:
-        row, its_row = 0, 3 * MOMENTS
+        row = 0
+        its_row = 3 * MOMENTS
         for _ in range(MOMENTS):
-            x, y, heading = self._predicted[row], self._predicted[row + 1], self._predicted[row + 2]
-            its_x, its_y = self._predicted[its_row], self._predicted[its_row + 1]
-            its_heading, dx, dy = self._predicted[its_row + 2], its_x - x, its_y - y
-            row += 3
-            its_row += 3
-            if math.sqrt(dx * dx + dy * dy) > one.length:
-                continue
-            if _has_corner_inside(
-                x,
-                y,
-                heading,
-                one.length,
-                one.width,
-                its_x,
-                its_y,
-                its_heading,
-                other.length,
-                other.width,
-            ) or _has_corner_inside(
-                its_x,
-                its_y,
-                its_heading,
-                other.length,
-                other.width,
-                x,
-                y,
-                heading,
-                one.length,
-                one.width,
+            dx = self._predicted[its_row] - self._predicted[row]
+            dy = self._predicted[its_row + 1] - self._predicted[row + 1]
+            if math.sqrt(dx * dx + dy * dy) <= one.length and (
+                self._has_corner_inside(one, row, other, its_row)
+                or self._has_corner_inside(other, its_row, one, row)
             ):
                 return True
+            row += 3
+            its_row += 3
+        return False
+
+    def _has_corner_inside(
+        self,
+        one: Body,
+        row: int,
+        other: Body,
+        its_row: int,
+    ) -> bool:
+        """Return whether a corner, a side's midpoint or the centre of one box is inside another, as in highway-env."""
+        predicted = self._predicted
+        cos = math.cos(predicted[row + 2])
+        sin = math.sin(predicted[row + 2])
+        its_cos = math.cos(predicted[its_row + 2])
+        its_sin = math.sin(predicted[its_row + 2])
+        for along in range(-1, 2):
+            for across in range(-1, 2):
+                ahead = along * (LONGER * one.length / 2.0)
+                aside = across * (NARROWER * one.width / 2.0)
+                dx = cos * ahead - sin * aside + predicted[row] - predicted[its_row]
+                dy = sin * ahead + cos * aside + predicted[row + 1] - predicted[its_row + 1]
+                turned_x = its_cos * dx - its_sin * dy
+                turned_y = its_sin * dx + its_cos * dy
+                if (
+                    abs(turned_x) <= LONGER * other.length / 2.0
+                    and abs(turned_y) <= NARROWER * other.width / 2.0
+                ):
+                    return True
         return False
 
     def _comes_second(self, one: NetworkVehicle, other: Body) -> bool:
         # Whether a vehicle must yield to another vehicle that has a higher priority or is ahead.
-        mine, theirs = self._priorities[one.closest], self._priorities[one._lane_of(other)]
+        mine = self._priorities[one.closest]
+        theirs = self._priorities[one._lane_of(other)]
         if mine != theirs:
             return mine < theirs
-        dx, dy = other.x - one.x, other.y - one.y
+        dx = other.x - one.x
+        dy = other.y - one.y
         ahead = math.cos(one.heading) * dx + math.sin(one.heading) * dy
         return ahead > -(math.cos(other.heading) * dx + math.sin(other.heading) * dy)
 
     def _foresee_npc(self, row: int, body: Body, time: float) -> None:
-        along, bends = body.x + body.speed * time, self._bends
+        along = body.x + body.speed * time
+        bends = self._bends
         npc: Any = body
         x, y, heading = (
             npc.track.pose(along) if isinstance(body, CrossingNpc) else bends.pose(body.lane, along)
         )
         self._foresee(row, x, y, heading)
-
-
-def _has_corner_inside(
-    x: float,
-    y: float,
-    heading: float,
-    length: float,
-    width: float,
-    other_x: float,
-    other_y: float,
-    other_heading: float,
-    other_length: float,
-    other_width: float,
-) -> bool:
-    """Return whether a corner, a side's midpoint or the centre of one box is inside another box, as in highway-env."""
-    cos, sin = math.cos(heading), math.sin(heading)
-    other_cos, other_sin = math.cos(other_heading), math.sin(other_heading)
-    for along in range(-1, 2):
-        for across in range(-1, 2):
-            ahead, aside = along * (LONGER * length / 2.0), across * (NARROWER * width / 2.0)
-            dx, dy = (
-                cos * ahead - sin * aside + x - other_x,
-                sin * ahead + cos * aside + y - other_y,
-            )
-            turned_x, turned_y = other_cos * dx - other_sin * dy, other_sin * dx + other_cos * dy
-            if (
-                abs(turned_x) <= LONGER * other_length / 2.0
-                and abs(turned_y) <= NARROWER * other_width / 2.0
-            ):
-                return True
-    return False

@@ -1,8 +1,9 @@
 cimport cython
 from libc cimport math
+from pytest_pafot.world.kernel.driver cimport clamp, wrap_angle
 
 cdef int LANE_VALUES, SINE, CIRCULAR
-cdef double LANE_ENDS, HALF_TURN
+cdef double LANE_ENDS
 
 @cython.final
 cdef class Network:
@@ -10,6 +11,7 @@ cdef class Network:
     cdef readonly double along, across, x, y
     cdef readonly int[::1] numbers
     cdef readonly double[::1] lengths, speed_limits
+    cdef tuple _given
     cdef int[::1] _kinds, _sections, _forbidden
     cdef double[::1] _shapes, _widths
 
@@ -36,8 +38,6 @@ cdef class Network:
     cpdef bint is_reachable(self, int lane, double x, double y) except -1
 
     cpdef bint is_after_end(self, int lane, double x, double y) except -1
-
-cpdef double wrap_angle(double angle) except? -1e300
 
 @cython.final
 cdef class Table:

@@ -12,7 +12,11 @@ from typing import Any
 
 import numpy as np
 
-SINE, CIRCULAR = 1, 2  # kinds of lanes; a straight lane is 0
+from pytest_pafot.world.kernel.driver import clamp, wrap_angle
+
+# kinds of lanes; a straight lane is 0
+SINE = 1
+CIRCULAR = 2
 LANE_VALUES = 9  # values per lane in `shapes`; see Network
 # distance past the ends of a lane within which a vehicle still counts as in the lane [m]
 LANE_ENDS = 5.0
@@ -20,7 +24,6 @@ LANE_ENDS = 5.0
 FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
 )  # fmt: skip
-HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
 
 class Network:
@@ -49,18 +52,20 @@ class Network:
         numbers: Sequence[int],
         forbidden: Sequence[int],
     ) -> None:
+        self._given = kinds, shapes, lengths, widths, speed_limits, sections, numbers, forbidden
         self.count = len(kinds)
-        self._kinds, self._shapes = array("i", kinds), array("d", shapes)
-        self.lengths, self._widths = array("d", lengths), array("d", widths)
+        self._kinds = array("i", kinds)
+        self._shapes = array("d", shapes)
+        self.lengths = array("d", lengths)
+        self._widths = array("d", widths)
         self.speed_limits = array("d", speed_limits)
-        self._sections, self.numbers = array("i", sections), array("i", numbers)
+        self._sections = array("i", sections)
+        self.numbers = array("i", numbers)
         self._forbidden = array("i", forbidden)
         self.along = self.across = self.x = self.y = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
-        sizes = list(self.lengths), list(self._widths), list(self.speed_limits)
-        places = list(self._sections), list(self.numbers), list(self._forbidden)
-        return Network, (list(self._kinds), list(self._shapes), *sizes, *places)
+        return Network, self._given
 
     def __deepcopy__(self, _: object) -> Network:
         return self
@@ -70,20 +75,21 @@ class Network:
 
     def locate(self, lane: int, x: float, y: float) -> None:
         """Set ``along`` and ``across`` to a point's distances [m] along a lane and to the right of its centre line."""
-        row, kind = lane * LANE_VALUES, self._kinds[lane]
-        dx, dy = x - self._shapes[row], y - self._shapes[row + 1]
+        row = lane * LANE_VALUES
+        kind = self._kinds[lane]
+        dx = x - self._shapes[row]
+        dy = y - self._shapes[row + 1]
         if kind == CIRCULAR:
-            radius, start, turn = (
-                self._shapes[row + 2],
-                self._shapes[row + 3],
-                self._shapes[row + 4],
-            )
+            radius = self._shapes[row + 2]
+            start = self._shapes[row + 3]
+            turn = self._shapes[row + 4]
             phi = math.atan2(dy, dx)
             phi = start + wrap_angle(phi - start)
             self.along = turn * (phi - start) * radius
             self.across = turn * (radius - math.sqrt(dx * dx + dy * dy))
             return
-        cos, sin = self._shapes[row + 2], self._shapes[row + 3]
+        cos = self._shapes[row + 2]
+        sin = self._shapes[row + 3]
         self.along = dx * cos + dy * sin
         self.across = dx * -sin + dy * cos
         if kind == SINE:
@@ -91,18 +97,18 @@ class Network:
 
     def position(self, lane: int, along: float, across: float) -> None:
         """Set ``x`` and ``y`` to the point at given distances [m] along a lane and to the right of its centre line."""
-        row, kind = lane * LANE_VALUES, self._kinds[lane]
+        row = lane * LANE_VALUES
+        kind = self._kinds[lane]
         if kind == CIRCULAR:
-            radius, start, turn = (
-                self._shapes[row + 2],
-                self._shapes[row + 3],
-                self._shapes[row + 4],
-            )
+            radius = self._shapes[row + 2]
+            start = self._shapes[row + 3]
+            turn = self._shapes[row + 4]
             phi = turn * along / radius + start
             self.x = self._shapes[row] + (radius - across * turn) * math.cos(phi)
             self.y = self._shapes[row + 1] + (radius - across * turn) * math.sin(phi)
             return
-        cos, sin = self._shapes[row + 2], self._shapes[row + 3]
+        cos = self._shapes[row + 2]
+        sin = self._shapes[row + 3]
         if kind == SINE:
             self.along = along
             across += self._sideways(row)
@@ -116,7 +122,8 @@ class Network:
 
     def heading_at(self, lane: int, along: float) -> float:
         """Return a lane's direction [rad] at a distance from its start."""
-        row, kind = lane * LANE_VALUES, self._kinds[lane]
+        row = lane * LANE_VALUES
+        kind = self._kinds[lane]
         if kind == CIRCULAR:
             turn = self._shapes[row + 4]
             return (
@@ -124,7 +131,8 @@ class Network:
             )
         heading = self._shapes[row + 4]
         if kind == SINE:
-            amplitude, pulsation = self._shapes[row + 5], self._shapes[row + 6]
+            amplitude = self._shapes[row + 5]
+            pulsation = self._shapes[row + 6]
             heading += math.atan(
                 amplitude * pulsation * math.cos(pulsation * along + self._shapes[row + 7])
             )
@@ -132,18 +140,27 @@ class Network:
 
     def closest(self, x: float, y: float, heading: float) -> int:
         """Return the lane with the smallest sum of distance [m] and angle [rad] to a vehicle, or the first of these."""
-        best, nearest = math.inf, 0
+        best = math.inf
+        nearest = 0
         for lane in range(self.count):
             self.locate(lane, x, y)
-            along, length = self.along, self.lengths[lane]
+            along = self.along
+            length = self.lengths[lane]
             distance = abs(self.across) + max(along - length, 0.0) + max(0.0 - along, 0.0)
             if distance < best:  # adding the angle can only increase the sum
                 distance += abs(wrap_angle(heading - self.heading_at(lane, along)))
                 if distance < best:
-                    best, nearest = distance, lane
+                    best = distance
+                    nearest = lane
         return nearest
 
-    def is_on(self, lane: int, x: float, y: float, margin: float) -> bool:
+    def is_on(
+        self,
+        lane: int,
+        x: float,
+        y: float,
+        margin: float,
+    ) -> bool:
         """Locate a point, and return whether it is on a lane that is widened on each side by ``margin`` [m]."""
         self.locate(lane, x, y)
         inside = -LANE_ENDS <= self.along < self.lengths[lane] + LANE_ENDS
@@ -161,11 +178,6 @@ class Network:
         """Return whether a vehicle at a point must switch to the next lane."""
         self.locate(lane, x, y)
         return self.along > self.lengths[lane] - LANE_ENDS / 2.0
-
-
-def wrap_angle(angle: float) -> float:
-    """Wrap an angle [rad] to [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 class Table:
@@ -186,8 +198,9 @@ class Table:
         self._has_destination = "cos_d" in features or "sin_d" in features
         self._has_place = "long_off" in features or "lat_off" in features or "ang_off" in features
         self._is_scaled = array("i", [feature in ranges for feature in FEATURES])
-        self._low = array("d", [float(ranges.get(feature, (0, 0))[0]) for feature in FEATURES])
-        self._high = array("d", [float(ranges.get(feature, (0, 0))[1]) for feature in FEATURES])
+        bounds = [ranges.get(feature, (0, 0)) for feature in FEATURES]
+        self._low = array("d", [float(each[0]) for each in bounds])
+        self._high = array("d", [float(each[1]) for each in bounds])
         self._is_clipped: bool = options.clip
         self._columns = array("i", [FEATURES.index(feature) for feature in features])
         self._count: int = options.vehicles_count
@@ -196,19 +209,29 @@ class Table:
         self._sees_intentions: bool = options.observe_intentions
 
     def observe(
-        self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float, exit_lane: int
+        self,
+        ego: Any,
+        vehicles: list[Any],
+        objects: list[Any],
+        reach: float,
+        exit_lane: int,
     ) -> Any:
         """Return the observation as a float32 array of shape [vehicles, features].
 
         The ego observes vehicles up to ``reach`` [m] away. Unless ``exit_lane`` is -1, the ego's x is measured along
         ``exit_lane``.
         """
-        values, network, count = self._values, self._network, len(vehicles)
+        values = self._values
+        network = self._network
+        count = len(vehicles)
         near = self._nearest(ego, vehicles, objects, reach)
         made = np.zeros((max(self._count, len(near) + 1), len(self._columns)), dtype=np.float32)
         table = made  # a typed memoryview in compiled code, to which writing is fast
         self._read(ego, False)
-        x, y, vx, vy = values[1], values[2], values[3], values[4]
+        x = values[1]
+        y = values[2]
+        vx = values[3]
+        vy = values[4]
         if exit_lane >= 0:
             network.locate(exit_lane, x, y)
             values[1] = network.along
@@ -228,18 +251,27 @@ class Table:
         return made
 
     def _nearest(
-        self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float
+        self,
+        ego: Any,
+        vehicles: list[Any],
+        objects: list[Any],
+        reach: float,
     ) -> list[tuple[float, int, Any]]:
-        network, lane, found = self._network, self._lanes[ego.lane], []
+        network = self._network
+        lane = self._lanes[ego.lane]
+        found = []
         x, y = ego.position.tolist()
         network.locate(lane, x, y)
-        here, behind, count = network.along, -2.0 * ego.LENGTH, len(vehicles)
+        here = network.along
+        behind = -2.0 * ego.LENGTH
+        count = len(vehicles)
         for index in range(count + len(objects)):
             other = vehicles[index] if index < count else objects[index - count]
             if other is ego:
                 continue
             its_x, its_y = other.position.tolist()
-            dx, dy = its_x - x, its_y - y
+            dx = its_x - x
+            dy = its_y - y
             if math.sqrt(dx * dx + dy * dy) < reach:
                 network.locate(lane, its_x, its_y)
                 ahead = network.along - here
@@ -247,48 +279,61 @@ class Table:
                     found.append((abs(ahead), index, other))
         found.sort()
         # in highway-env, 0 other vehicles means no limit
-        return found[: self._count - 1] if self._count > 1 else found
+        if self._count > 1:
+            return found[: self._count - 1]
+        return found
 
     def _read(self, vehicle: Any, is_object: bool) -> None:
-        values, heading = self._values, vehicle.heading
+        values = self._values
+        heading = vehicle.heading
         x, y = vehicle.position.tolist()
-        cos, sin = math.cos(heading), math.sin(heading)
-        values[0], values[1], values[2], values[6], values[7] = 1.0, x, y, cos, sin
+        cos = math.cos(heading)
+        sin = math.sin(heading)
+        values[0] = 1.0
+        values[1] = x
+        values[2] = y
+        values[6] = cos
+        values[7] = sin
         values[8] = values[9] = 0.0
         if is_object:
             values[3] = values[4] = 0.0
             values[5] = values[10] = values[11] = values[12] = np.nan
             return
         speed = vehicle.speed
-        values[3], values[4], values[5] = speed * cos, speed * sin, heading
+        values[3] = speed * cos
+        values[4] = speed * sin
+        values[5] = heading
         if self._has_destination:
             self._head_for_destination(vehicle, x, y)
         if self._has_place:
             lane = self._lanes[vehicle.lane]
             self._network.locate(lane, x, y)
-            values[10], values[11] = self._network.along, self._network.across
-            angle = heading - self._network.heading_at(lane, values[10])
-            values[12] = (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
+            values[10] = self._network.along
+            values[11] = self._network.across
+            values[12] = wrap_angle(heading - self._network.heading_at(lane, values[10]))
 
     def _head_for_destination(self, vehicle: Any, x: float, y: float) -> None:
         route = getattr(vehicle, "route", None)
         if not route:
             return
         start, end, number = route[-1]
-        lane = self._lanes[
-            vehicle.road.network.get_lane((start, end, 0 if number is None else number))
-        ]
+        if number is None:
+            number = 0
+        lane = self._lanes[vehicle.road.network.get_lane((start, end, number))]
         self._network.position(lane, self._network.lengths[lane], 0.0)
-        dx, dy = self._network.x - x, self._network.y - y
+        dx = self._network.x - x
+        dy = self._network.y - y
         away = math.sqrt(dx * dx + dy * dy)
         if away > 0.0:
-            self._values[8], self._values[9] = dx / away, dy / away
+            self._values[8] = dx / away
+            self._values[9] = dy / away
 
     def _scaled(self, feature: int) -> float:
         value = self._values[feature]
-        if self._is_scaled[feature]:
-            low = self._low[feature]
-            value = -1.0 + (value - low) * 2.0 / (self._high[feature] - low)
-            if self._is_clipped:
-                value = 1.0 if value > 1.0 else -1.0 if value < -1.0 else value
+        if not self._is_scaled[feature]:
+            return value
+        low = self._low[feature]
+        value = -1.0 + (value - low) * 2.0 / (self._high[feature] - low)
+        if self._is_clipped:
+            return clamp(value, 1.0)
         return value

@@ -1,8 +1,25 @@
 cimport cython
 from libc cimport math
-from pytest_pafot.world.kernel.bodies cimport Body
 
-cdef double ALMOST, STEP, HALF_TURN, ON_LANE
+cdef double MAX_SPEED, ALMOST, STEP, HALF_TURN, ON_LANE, NOWHERE, NOT_ON_WAY
+cdef int ROW_LENGTH, TRACK_COLUMNS
+
+cdef class Box:
+    cdef public double x, y, heading, length, width
+
+cdef class Body(Box):
+    cdef public double speed, acceleration, steering
+    cdef public int lane
+
+    cpdef void place(self, double x, double y, double heading, double speed)
+
+    cpdef void step(self, double dt)
+
+cpdef bint overlap(Box a, Box b) except -1
+
+cpdef double depth(Box a, Box b) except? -1
+
+cpdef (double, double) separation(Box a, Box b)
 
 @cython.final
 cdef class Lanes:
@@ -23,6 +40,7 @@ cpdef Py_ssize_t even_rounded(double exact) except? -1
 cdef class Bends:
     cdef readonly double along, across, angle, offset
     cdef readonly int lane
+    cdef tuple _given
     cdef double[::1] _x, _y, _heading, _across, _direction, _lean, _speed, _sharpest, _widths
     cdef int[::1] _exists, _part
     cdef Py_ssize_t _points
@@ -77,6 +95,7 @@ cdef class Track:
     cdef readonly double[::1] x, y, heading, lean, speed, sharpest, along_ego
     cdef readonly int[::1] parts
     cdef readonly double enters
+    cdef tuple _given
     cdef Py_ssize_t _last
 
     cpdef Py_ssize_t point(self, double along) except -1
@@ -86,3 +105,36 @@ cdef class Track:
 
     @cython.locals(index=Py_ssize_t)
     cpdef double value(self, double[::1] values, double along) except? -1
+
+cdef class Places:
+    cdef readonly list vehicles, bodies
+    cdef public list obstacles
+    cdef public object left
+    cdef readonly Lanes lanes
+    cdef readonly double[::1] track, on_way
+    cdef Lanes _lanes
+    cdef Bends _bends
+    cdef list _ways
+    cdef object _beside
+    cdef double[::1] _along
+    cdef double _x, _y, _end
+    cdef Py_ssize_t _row
+
+    @cython.locals(vehicle=Body, body=Body)
+    cpdef void control(self) except *
+
+    @cython.locals(bends=Bends, has_ended=bint, count=Py_ssize_t, first=Py_ssize_t, number=Py_ssize_t, vehicle=Body,
+                   body=Body, way=Track, along=double, ego=Body)
+    cpdef void see(self, double[::1] record, Py_ssize_t row) except *
+
+    cdef double along(self, Py_ssize_t number) except? -1
+
+    cdef Track way(self, Py_ssize_t number)
+
+    @cython.locals(bends=Bends, near=double, is_on=bint)
+    cdef bint is_on_way(self, Track way, double x, double y, double heading, double along) except -1
+
+    cdef int _on_own_way(self, Body vehicle, Body body, Track way, Py_ssize_t number) except -2
+
+    @cython.locals(bends=Bends, track="double[::1]", row=Py_ssize_t)
+    cdef void _note(self, Py_ssize_t number) except *

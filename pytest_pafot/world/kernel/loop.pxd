@@ -2,13 +2,11 @@ cimport cython
 from pytest_pafot.world.kernel.action cimport (
     acceleration_to_speed, checked_si_action, possible_acceleration, possible_steering, without_reversing,
 )
-from pytest_pafot.world.kernel.bodies cimport Body, Box, overlap
+from pytest_pafot.world.kernel.lanes cimport Body, Box, Lanes, Places, overlap
 from pytest_pafot.world.kernel.director cimport BaseDirector
 from pytest_pafot.world.kernel.driver cimport LaneTracker
 from pytest_pafot.world.kernel.idm cimport GoalVehicle
-from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.observation cimport Sensor
-from pytest_pafot.world.kernel.places cimport Places
 from pytest_pafot.world.kernel.idm cimport EgosRoadRules
 
 cdef class EgoDriver:

@@ -25,11 +25,10 @@ from pytest_pafot.world.kernel.action import (
     possible_steering,
     without_reversing,
 )
-from pytest_pafot.world.kernel.bodies import COLUMNS, Body, Box, overlap
 from pytest_pafot.world.kernel.driver import LaneTracker
 from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle
+from pytest_pafot.world.kernel.lanes import COLUMNS, Body, Box, Places, overlap
 from pytest_pafot.world.kernel.observation import Sensor
-from pytest_pafot.world.kernel.places import Places
 
 
 class EgoDriver:
@@ -120,7 +119,8 @@ class GivenDriver(EgoDriver):
         Raises:
             BadAction: if the action is invalid.
         """
-        checked, sensor = checked_si_action(action, self._lanes), self._sensor
+        checked = checked_si_action(action, self._lanes)
+        sensor = self._sensor
         self._speed = -1.0
         if type(checked) is tuple:  # faster than isinstance
             acceleration, steering = checked  # faster than two indices
@@ -133,9 +133,12 @@ class GivenDriver(EgoDriver):
                 raise BadAction(
                     f"expected pafot.LaneCommand with a lane that exists at {sensor.along:.0f} m, received {command}"
                 )
-            self._most, self._jerk = command.lateral_acceleration, command.lateral_jerk
+            self._most = command.lateral_acceleration
+            self._jerk = command.lateral_jerk
             if self._lane < 0:
-                heading = sensor.heading if sensor.is_bent else self._place.heading
+                heading = self._place.heading
+                if sensor.is_bent:
+                    heading = sensor.heading
                 self._tracker.begin(heading, self._angle, self.ego.speed, self._most)
             self._lane = command.lane
             if command.acceleration is not None:
@@ -149,9 +152,11 @@ class GivenDriver(EgoDriver):
         """Set the controls for the coming tick from the last decision, so that the ego does not reverse."""
         ego = self.ego
         if self._lane >= 0:
-            across, heading = self._place.y, self._place.heading
+            across = self._place.y
+            heading = self._place.heading
             if self._sensor.is_bent:  # the position of the last observation, which must exist
-                across, heading = self._sensor.across, self._sensor.heading
+                across = self._sensor.across
+                heading = self._sensor.heading
             offset = across - self._lane * self._lane_width
             self._steer(self._tracker.steering(offset, heading, ego.speed, self._most, self._jerk))
         if self._speed >= 0.0:
@@ -166,7 +171,9 @@ class GivenDriver(EgoDriver):
     def _steer(self, angle: float) -> None:
         self._angle = angle
         # on a curved road, the steering angle for following the lane is added
-        self.ego.steering = angle + self._sensor.bend if self._sensor.is_bent else angle
+        self.ego.steering = angle
+        if self._sensor.is_bent:
+            self.ego.steering = angle + self._sensor.bend
 
 
 class PlannerDriver(GivenDriver):
@@ -238,7 +245,13 @@ class Loop:
     :meth:`command` before it moves the vehicles, and :meth:`moved` afterwards.
     """
 
-    def __init__(self, director: Any, places: Places, record: Any, dt: float) -> None:
+    def __init__(
+        self,
+        director: Any,
+        places: Places,
+        record: Any,
+        dt: float,
+    ) -> None:
         self.tick = 0
         # replaces the states of all vehicles after each tick with those from a simulator; None in most runs
         self.simulation: Any = None
@@ -301,7 +314,10 @@ class Loop:
         return self._contact() or self._places.left is not None
 
     def _note(self) -> None:
-        row, record, columns, lanes = self._row, self._record, self._columns, self._lanes
+        row = self._row
+        record = self._record
+        columns = self._columns
+        lanes = self._lanes
         if row + len(self._vehicles) * columns > self._end:
             raise IndexError(
                 f"record: expected room for tick {self.tick}, received a buffer of {self._end} numbers"
@@ -322,12 +338,10 @@ class Loop:
 
     def _contact(self) -> bool:
         """Return whether a vehicle touches another vehicle or a fixed object. Record whether the ego is involved."""
-        record, columns, reach, count = (
-            self._record,
-            self._columns,
-            self._reach,
-            len(self._vehicles),
-        )
+        record = self._record
+        columns = self._columns
+        reach = self._reach
+        count = len(self._vehicles)
         start = self._row - count * columns
         # Contacts of the ego are checked first, and contacts between vehicles before contacts with objects.
         for first in range(count - 1):

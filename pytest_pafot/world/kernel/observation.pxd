@@ -1,7 +1,6 @@
 cimport cython
 from libc cimport math
-from pytest_pafot.world.kernel.lanes cimport Bends, Lanes, Track
-from pytest_pafot.world.kernel.places cimport Places
+from pytest_pafot.world.kernel.lanes cimport Bends, Lanes, Places, Track
 
 cdef object _NEW
 cdef double HALF_TURN

@@ -13,9 +13,7 @@ import numpy as np
 from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.world.kernel.bodies import COLUMNS
-from pytest_pafot.world.kernel.lanes import Bends, Lanes
-from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.lanes import COLUMNS, Bends, Lanes, Places
 
 HALF_TURN = math.pi  # [rad]; unlike math.pi, it is a C number in compiled code
 
@@ -96,7 +94,8 @@ class Observer(Sensor):
         y0: float = 0.0,
     ) -> None:
         super().__init__()
-        self._x0, self._y0 = x0, y0
+        self._x0 = x0
+        self._y0 = y0
         self.record = record
         self.sizes = sizes
         self.lanes = lanes
@@ -109,26 +108,24 @@ class Observer(Sensor):
         """Return the state of a vehicle at a tick. The ego has index 0."""
         length, width = self.sizes[index]
         row = (tick * len(self.sizes) + index) * self.columns
-        x, y, heading = (
-            self.record[row] - self._x0,
-            self.record[row + 1] - self._y0,
-            self.record[row + 2],
-        )
+        x = self.record[row] - self._x0
+        y = self.record[row + 1] - self._y0
+        heading = self.record[row + 2]
         lane = self.lanes.closest(x, y, heading)
         return _NEW(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
 
     def details(self, tick: int) -> _Details:
-        row, count = tick * len(self.sizes) * self.columns, len(self.sizes) - 1
-        period, ids = self.every / self.physics_hz, tuple(range(count))
+        row = tick * len(self.sizes) * self.columns
+        count = len(self.sizes) - 1
+        period = self.every / self.physics_hz
+        ids = tuple(range(count))
         return period, self.record[row + 4], self.record[row + 5], ids, self.lanes.length, ()
 
     def lateral_velocities(self, tick: int) -> tuple[float, ...]:
-        first, columns, record, values = (
-            tick * len(self.sizes) * self.columns,
-            self.columns,
-            self.record,
-            [],
-        )
+        first = tick * len(self.sizes) * self.columns
+        columns = self.columns
+        record = self.record
+        values = []
         for index in range(len(self.sizes)):
             row = first + index * columns
             values.append(lateral_velocity(record[row + 2], record[row + 3], record[row + 5]))
@@ -138,11 +135,9 @@ class Observer(Sensor):
         """Write the states of all vehicles at a tick into an array of shape [runs, vehicles, 7], at index ``run``."""
         row = tick * len(self.sizes) * self.columns
         for index, (length, width) in enumerate(self.sizes):
-            x, y, heading = (
-                self.record[row] - self._x0,
-                self.record[row + 1] - self._y0,
-                self.record[row + 2],
-            )
+            x = self.record[row] - self._x0
+            y = self.record[row + 1] - self._y0
+            heading = self.record[row + 2]
             values[run, index, 0] = x
             values[run, index, 1] = y
             values[run, index, 2] = heading
@@ -307,7 +302,9 @@ class Observation:
         return self._details
 
     def _count(self) -> int:
-        return len(self.others) + 1 if self._observer is None else len(self._observer.sizes)
+        if self._observer is None:
+            return len(self.others) + 1
+        return len(self._observer.sizes)
 
     def _fill(self, values: FloatArray, run: int) -> None:
         if self._observer is None:
@@ -382,7 +379,8 @@ class RoadSensor(Sensor):
         common: tuple[int, float, float, float],
         physics_hz: float,
         every: int,
-        sight: tuple[Sight, int] | None,
+        sight: Sight | None,
+        seed: int,
     ) -> None:
         super().__init__()
         self.is_bent = True
@@ -395,10 +393,8 @@ class RoadSensor(Sensor):
         self._common = common
         self._physics_hz = physics_hz
         self._every = every
-        self._sight: Any = None
-        self._seed = 0
-        if sight is not None:
-            self._sight, self._seed = sight
+        self._sight: Any = sight
+        self._seed = seed
         self._sizes = [(each.length, each.width) for each in places.vehicles]
         self._drift = 0.0
 
@@ -406,20 +402,32 @@ class RoadSensor(Sensor):
         return self._bends.exists(lane, self.along)
 
     def observation(self, tick: int) -> Observation:
-        bends, record, places, count = self._bends, self._record, self._places, len(self._sizes)
+        bends = self._bends
+        record = self._record
+        places = self._places
+        count = len(self._sizes)
         row = tick * count * COLUMNS
-        x, y, heading, speed = record[row], record[row + 1], record[row + 2], record[row + 3]
+        x = record[row]
+        y = record[row + 1]
+        heading = record[row + 2]
+        speed = record[row + 3]
         # the ego first, because the others are relative to it
         bends.locate(x, y, heading, places.along(0))
-        own, across = bends.along, bends.across
+        own = bends.along
+        across = bends.across
         stretch = bends.stretch(own, across)
         self.along = own
         own_bends = self._leaning[0]
         self.bend = math.atan(2.0 * math.tan(-own_bends.lean_at(bends.lane, own)))
         ego = self._state(0, speed, record[row + 5], own, stretch)
-        self.across, self.heading = ego.y, ego.heading
-        cos, sin = math.cos(heading), math.sin(heading)
-        others, ids, lateral, crossing = [], [], [self._drift], []
+        self.across = ego.y
+        self.heading = ego.heading
+        cos = math.cos(heading)
+        sin = math.sin(heading)
+        others = []
+        ids = []
+        lateral = [self._drift]
+        crossing = []
         then = row
         glimpses: Any = [(npc, 0.0, 0.0, 0.0) for npc in range(count - 1)]
         # with imperfect perception, vehicles are seen late, with errors, or not at all
@@ -429,12 +437,11 @@ class RoadSensor(Sensor):
             glimpses = self._sight.glimpses(self._states(then), self._seed, tick)
         for npc, error_x, error_y, error_speed in glimpses:
             at = then + (npc + 1) * COLUMNS
-            its_x, its_y, its_heading = (
-                record[at] + error_x,
-                record[at + 1] + error_y,
-                record[at + 2],
-            )
-            its_speed, along = record[at + 3] + error_speed, places.along(npc + 1)
+            its_x = record[at] + error_x
+            its_y = record[at + 1] + error_y
+            its_heading = record[at + 2]
+            its_speed = record[at + 3] + error_speed
+            along = places.along(npc + 1)
             way = places.way(npc + 1)
             if way is not None:
                 way.locate(its_x, its_y, along)
@@ -445,8 +452,11 @@ class RoadSensor(Sensor):
                 ids.append(npc)
                 lateral.append(self._drift)
                 continue
-            zone, (length, width) = self._zones[npc], self._sizes[npc + 1]
-            dx, dy, turned = its_x - x, its_y - y, its_heading - heading
+            zone = self._zones[npc]
+            length, width = self._sizes[npc + 1]
+            dx = its_x - x
+            dy = its_y - y
+            turned = its_heading - heading
             crossing.append(
                 CrossingVehicle(
                     id=npc,
@@ -479,20 +489,26 @@ class RoadSensor(Sensor):
         )
 
     def _state(
-        self, number: int, speed: float, steering: float, own: float, stretch: float
+        self,
+        number: int,
+        speed: float,
+        steering: float,
+        own: float,
+        stretch: float,
     ) -> VehicleState:
         # The state, on the straightened road, of the vehicle that was located last.
-        bends, own_bends, (length, width) = self._bends, self._leaning[number], self._sizes[number]
-        along, lane = bends.along, bends.lane
+        bends = self._bends
+        own_bends = self._leaning[number]
+        length, width = self._sizes[number]
+        along = bends.along
+        lane = bends.lane
         # the mean of the stretches at both vehicles applies to the distance
         driven = (along - own) * (stretch + bends.stretch(along, bends.across)) / 2.0
         to_lane = bends.angle + bends.heading_at(along) - bends.direction_at(lane, along)
         # for the observation's lateral_velocities
         self._drift = lateral_velocity(to_lane, speed, steering)
-        y, leaning = (
-            bends.in_lanes(lane, along, bends.offset),
-            to_lane - own_bends.lean_at(lane, along),
-        )
+        y = bends.in_lanes(lane, along, bends.offset)
+        leaning = to_lane - own_bends.lean_at(lane, along)
         return VehicleState(own + driven, y, leaning, speed, lane, length, width)
 
     def _states(self, row: int) -> FloatArray:

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product, starmap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,10 +35,9 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc, JunctionDirector
 from pytest_pafot.world.kernel.director import Director, NetworkDirector
-from pytest_pafot.world.kernel.lanes import Track
+from pytest_pafot.world.kernel.lanes import Body, Track
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import (
     SPEED_LAG,
@@ -66,15 +65,18 @@ WIDER = 1.0
 # distance below which boxes count as touching [m]; otherwise, rounding would decide when roads cross at right angles
 TOUCHING = 1e-6
 # largest distance and angle between two paths in the same lane [m, rad]
-ONE_LANE, ONE_DIRECTION = 0.5, 0.1
+ONE_LANE = 0.5
+ONE_DIRECTION = 0.1
 # largest distance from a path and angle to it at which a vehicle obstructs vehicles on that path [m, rad]
-BESIDE, ALIGNED = 1.0, 0.3
+BESIDE = 1.0
+ALIGNED = 0.3
 # distance of both vehicles before the zone at which the direction of approach is determined [m]
 APPROACH = 20.0
 # Limits for the angle between two directions of approach [rad]. Above the first limit, vehicles come from opposite
 # directions. Below the second, they come side by side. In a roundabout, the angle is three quarters of pi, and a
 # circulating vehicle comes from the left.
-OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
+OPPOSITE = 0.85 * math.pi
+ALONGSIDE = 0.25 * math.pi
 # of two merging paths, the one that turns less is the main lane if the difference is larger [rad]
 STRAIGHTER = 0.2
 # time from the ego's start to its first zone at constant speed, if the ego's lane is long enough [s]
@@ -114,15 +116,19 @@ class CrossingWay:
         if vehicle == CAR:
             return self
         own = limits.for_vehicle(vehicle)
-        if (own, vehicle.length) in self._of_others:
-            return self._of_others[own, vehicle.length]
-        ((lane,), _) = self.shaped(own, vehicle.length)
-        # a long vehicle, as measured at its centre, enters its zone earlier and leaves it later
-        zone = replace(self.way.zone, npc=longer(self.way.zone.npc, vehicle.length - CAR.length))
-        way = replace(self.way, zone=zone, speeds=_driven(np.array(lane.speed), own))
-        made = replace(self, way=way, column=replace(lane, part=self.column.part))
-        self._of_others[own, vehicle.length] = made
-        return made
+        key = own, vehicle.length
+        if key not in self._of_others:
+            ((lane,), _) = self.shaped(*key)
+            # a long vehicle, as measured at its centre, enters its zone earlier and leaves it later
+            stretch = longer(self.way.zone.npc, vehicle.length - CAR.length)
+            way = replace(
+                self.way,
+                zone=replace(self.way.zone, npc=stretch),
+                speeds=_driven(lane.speed, own),
+            )
+            column = replace(lane, part=self.column.part)
+            self._of_others[key] = replace(self, way=way, column=column)
+        return self._of_others[key]
 
     @cached_property
     def _of_others(self) -> dict[tuple[NpcLimits, float], CrossingWay]:
@@ -130,10 +136,16 @@ class CrossingWay:
 
     @cached_property
     def track(self) -> Track:
-        line, of = self.line, self.column
-        driven = of.direction, of.lean, of.speed, of.sharpest, of.part
         return Track(
-            line.x.tolist(), line.y.tolist(), *driven, self.along_ego, self.way.zone.npc[0]
+            self.line.x.tolist(),
+            self.line.y.tolist(),
+            self.column.direction,
+            self.column.lean,
+            self.column.speed,
+            self.column.sharpest,
+            self.column.part,
+            self.along_ego,
+            self.way.zone.npc[0],
         )
 
 
@@ -176,44 +188,47 @@ class JunctionRoad(NetworkRoad):
 
     def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
         """Return each crossing NPC's path, adapted to the NPC's vehicle type, and None for the other NPCs."""
-        return [
-            None
-            if each is None
-            else self.junction.ways[each.zone].for_vehicle(scenario.vehicle_of(npc), self.limits)
-            for npc, each in enumerate(scenario.crossings)
-        ]
+        ways: list[CrossingWay | None] = [None] * len(scenario.crossings)
+        for npc, each in enumerate(scenario.crossings):
+            if each is not None:
+                way = self.junction.ways[each.zone]
+                ways[npc] = way.for_vehicle(scenario.vehicle_of(npc), self.limits)
+        return ways
 
     def zones(self, scenario: Scenario) -> tuple[Zone | None, ...]:
         return tuple(None if way is None else way.way.zone for way in self.ways(scenario))
 
     def tracks(self, scenario: Scenario) -> list[Track | None]:
-        return [
-            None if way is None else way.track for way in self.ways(scenario)
-        ] or super().tracks(scenario)
+        if not scenario.crossings:
+            return super().tracks(scenario)
+        return [None if way is None else way.track for way in self.ways(scenario)]
 
     def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
-        return (
-            super().can_drive(vehicle)
-            if zone is None
-            else vehicle.can_follow(self.crossings.ways[zone].sharpest)
-        )
+        if zone is None:
+            return super().can_drive(vehicle)
+        return vehicle.can_follow(self.crossings.ways[zone].sharpest)
 
     def director(
-        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        limits: NpcLimits,
+        cells: frozenset[Cell],
+        **common: Any,
     ) -> Director | JunctionDirector:
         if not scenario.crossings:
             return super().director(scenario, limits, cells, **common)
         grid = None
-        if None in scenario.crossings:  # the NPCs around the ego
-            others = scenario.of_npcs(
-                npc for npc, crossing in enumerate(scenario.crossings) if crossing is None
-            )
+        around = [npc for npc, crossing in enumerate(scenario.crossings) if crossing is None]
+        if around:  # the NPCs around the ego
+            others = scenario.of_npcs(around)
             grid = NetworkDirector(others, self, limits, start_cells=cells, **common)
         del common["clearance"], common["ego_length"]
         return JunctionDirector(scenario, self, self.junction, limits, grid=grid, **common)
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
-        return body.track.pose if isinstance(body, CrossingNpc) else super().foresight(body)
+        if isinstance(body, CrossingNpc):
+            return body.track.pose
+        return super().foresight(body)
 
 
 def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> NetworkRoad:
@@ -225,42 +240,40 @@ def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTy
     if junction is None:
         return road
     values = {each.name: getattr(road, each.name) for each in fields(road)}
-    return JunctionRoad(**{**values, "start": junction.crossings.ego_start}, junction=junction)
+    values["start"] = junction.crossings.ego_start
+    return JunctionRoad(**values, junction=junction)
 
 
 def _junction_of(
     env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType
 ) -> Junction | None:
     own = _course(road.line, road.columns[road.ego_lane])
-    ways, longer_by = _ways(env.road.network, road, own, limits), ego.length - CAR.length
+    ways = _ways(env.road.network, road, own, limits)
     if not ways:
         return None
+    longer_by = ego.length - CAR.length
     if longer_by:  # an ego that is longer than a car enters each zone earlier and leaves it later
         for name, each in ways.items():
             zone = replace(each.way.zone, ego=longer(each.way.zone.ego, longer_by))
             ways[name] = replace(each, way=replace(each.way, zone=zone))
-    # the ego starts in the same lane, but far enough before its first zone
-    first = min(each.way.zone.ego[0] for each in ways.values())
-    lane_begins = (
-        float(np.flatnonzero(road.line.piece == road.line.piece[road.bends.point(road.start)])[0])
-        * STEP
-    )
     courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}
     shared: dict[tuple[str, str], array[float]] = {}
     meetings: dict[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]] = {}
     for (one, a), (other, b) in combinations([(EGOS, own), *courses.items()], 2):
         pairs = near_pairs(a, b)
-        for mine, theirs, places in (  # each vehicle may be ahead of the other in a common lane
-            (one, other, _places(a, b, pairs, BESIDE, ALIGNED)),
-            (other, one, _places(b, a, pairs[::-1], BESIDE, ALIGNED)),
-        ):
-            if not np.isnan(places).all():
-                shared[mine, theirs] = array("d", places)
+        # each vehicle may be ahead of the other in a common lane
+        shared[one, other] = array("d", _places(a, b, pairs, BESIDE, ALIGNED))
+        shared[other, one] = array("d", _places(b, a, pairs[::-1], BESIDE, ALIGNED))
         if one == EGOS:
             along_ego = _places(a, b, pairs, road.lane_width, NOT_ON_WAY).tolist()
             ways[other] = replace(ways[other], along_ego=along_ego)
-        if found := tuple(meeting.stretches for meeting in meetings_of(a, b, pairs)):
-            meetings[one, other] = found
+        meetings[one, other] = tuple(met.stretches for met in meetings_of(a, b, pairs))
+    meetings = {pair: found for pair, found in meetings.items() if found}
+    shared = {pair: places for pair, places in shared.items() if not np.isnan(places).all()}
+    # the ego starts in the same lane, but far enough before its first zone
+    first = min(each.way.zone.ego[0] for each in ways.values())
+    owner = road.line.piece[road.bends.point(road.start)]
+    lane_begins = float(np.flatnonzero(road.line.piece == owner)[0]) * STEP
     crossings = Crossings(
         ways={name: each.way for name, each in ways.items()},
         meetings={pair: found for pair, found in meetings.items() if EGOS not in pair},
@@ -276,52 +289,52 @@ def _ways(
     """Return, by name, the shortest paths that cross or join the ego's path ahead of the ego's start."""
     ways: dict[str, CrossingWay] = {}
     for path in _paths(network):
-        name = f"{path[0][0]}>{path[-1][1]}"
+        origin, end = path[0]
+        name = f"{origin}>{path[-1][1]}"
         if path[0] in road.sections or name in ways:
             continue
-        (origin, end), *_ = path
         entry = origin, end, len(network.graph[origin][end]) - 1  # the rightmost lane
-        pieces, _ = way_of(
-            network, entry, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0
-        )
+        route = [(*section, None) for section in path]
+        pieces, _ = way_of(network, entry, 0.0, route, ahead=math.inf, behind=0.0)
         line = line_of(pieces)
         if np.abs(curvature_of(line)).max() > TIGHTEST:
             continue  # the path jumps from lane to lane, as at the ramp of merge-v0
-        shaped, parts = lone_column(line, pieces, road.ego_speed), _parts(road, pieces, line)
+        shaped = lone_column(line, pieces, road.ego_speed)
         ((lane,), _) = shaped(limits)
-        column = replace(lane, part=parts)
+        column = replace(lane, part=_parts(road, pieces, line))
         course = _course(line, column)
         met = next(meetings_of(own, course, near_pairs(own, course)), None)
         # only conflicts ahead of the ego's start matter
         if met is not None and met.stretches[0][0] > road.start:
-            zone = _zone(name, road, line, [piece.index for piece in pieces], network, met)
-            way = Way(
-                zone=zone,
-                speeds=_driven(np.array(column.speed), limits),
-                sharpest=max(column.sharpest),
-            )
-            middle = met.closest[1] * STEP
             ways[name] = CrossingWay(
-                way=way, line=line, column=column, middle=middle, shaped=shaped, along_ego=[]
+                way=Way(
+                    zone=_zone(name, road, line, [piece.index for piece in pieces], network, met),
+                    speeds=_driven(column.speed, limits),
+                    sharpest=max(column.sharpest),
+                ),
+                line=line,
+                column=column,
+                middle=met.closest[1] * STEP,
+                shaped=shaped,
+                along_ego=[],
             )
     return ways
 
 
 def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
     """Yield the paths through a network as tuples of sections, the shortest first. No path visits a node twice."""
-    follow: dict[Section, list[Section]] = {
-        (a, b): [] for a, ends in network.graph.items() for b in ends
-    }
+    pieces: dict[Section, list[Piece]] = {}
+    for index, lane in network.lanes_dict().items():
+        pieces.setdefault(index[:2], []).append(Piece(index, lane, 0.0, float(lane.length)))
     # a section follows another one if any of their lanes do
-    for section, following in follow.items():
-        lasts = [
-            Piece((*section, 0), lane, 0.0, float(lane.length))
-            for lane in network.graph[section[0]][section[1]]
+    follow = {
+        section: [
+            after
+            for after in pieces
+            if section[1] == after[0] and any(starmap(is_drivable, product(lasts, pieces[after])))
         ]
-        for end, lanes in network.graph.get(section[1], {}).items():
-            nexts = [Piece((section[1], end, 0), lane, 0.0, float(lane.length)) for lane in lanes]
-            if any(is_drivable(last, each) for last in lasts for each in nexts):
-                following.append((section[1], end))
+        for section, lasts in pieces.items()
+    }
     led_to = {section for following in follow.values() for section in following}
     # breadth first, from sections without a predecessor
     queue: deque[tuple[Section, ...]] = deque(
@@ -339,23 +352,24 @@ def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
 
 def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
     # For each point of a path, the index of its lane in `Trace.lanes`.
-    others = {
-        index: len(road.lanes) - len(road.others) + place for place, index in enumerate(road.others)
-    }
+    own_lanes = len(road.lanes) - len(road.others)
     parts = np.full(len(line.x), -1)
     for number, piece in enumerate(pieces):
         points = np.flatnonzero(line.piece == number)
-        if piece.index in others:
-            parts[points] = others[piece.index]
+        if piece.index in road.others:
+            parts[points] = own_lanes + road.others.index(piece.index)
         elif points.size:  # in a lane of the ego's path
-            x, y = line.x[points, None] - road.line.x, line.y[points, None] - road.line.y
-            near, middle, bends = (x * x + y * y).argmin(axis=1), len(points) // 2, road.bends
+            x = line.x[points, None] - road.line.x
+            y = line.y[points, None] - road.line.y
+            near = (x * x + y * y).argmin(axis=1)
+            # the middle of the piece determines its lane
+            middle = len(points) // 2
             place = points[middle]
-            bends.locate(
-                line.x[place], line.y[place], line.heading[place], float(near[middle]) * STEP
-            )
-            parts[points] = [road.columns[bends.lane].part[int(point)] for point in near]
-    return [int(part) for part in parts]
+            along = float(near[middle]) * STEP
+            road.bends.locate(line.x[place], line.y[place], line.heading[place], along)
+            parts[points] = np.array(road.columns[road.bends.lane].part)[near]
+    indices: list[int] = parts.tolist()
+    return indices
 
 
 def _course(line: Line, column: Column) -> Course:
@@ -372,13 +386,17 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
     # groups of points are compared first, and then the points of the groups that are near each other
     i, j = np.nonzero(x * x + y * y < wide * wide)
     step = np.arange(COARSE)
+    # each pair of groups becomes COARSE * COARSE pairs of points
     i = (i[:, None, None] * COARSE + step[:, None]).repeat(COARSE, axis=2).ravel()
     j = (j[:, None, None] * COARSE + step).repeat(COARSE, axis=1).ravel()
     exists = (i < len(a.x)) & (j < len(b.x))
-    i, j = i[exists], j[exists]
-    x, y = a.x[i] - b.x[j], a.y[i] - b.y[j]
+    i = i[exists]
+    j = j[exists]
+    x = a.x[i] - b.x[j]
+    y = a.y[i] - b.y[j]
     is_near = x * x + y * y < reach * reach
-    i, j = i[is_near], j[is_near]
+    i = i[is_near]
+    j = j[is_near]
     order = np.lexsort((i, j))  # by the second course, then by the first
     return i[order], j[order]
 
@@ -386,15 +404,19 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
 def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: float) -> Flags:
     """Return, for each pair of points, whether vehicles at these points touch if they are widened by ``wider`` [m]."""
     i, j = pairs
-    length, width = CAR.length, CAR.width + wider
-    x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
-    cos_a, sin_a, cos_b, sin_b = a.cos[i], a.sin[i], b.cos[j], b.sin[j]
-    cos, sin = np.abs(cos_a * cos_b + sin_a * sin_b), np.abs(sin_b * cos_a - cos_b * sin_a)
-    along, across = (
-        (length + length * cos + width * sin) / 2,
-        (width + length * sin + width * cos) / 2,
-    )
-    along, across = along + TOUCHING, across + TOUCHING
+    length = CAR.length
+    width = CAR.width + wider
+    x = b.x[j] - a.x[i]
+    y = b.y[j] - a.y[i]
+    cos_a = a.cos[i]
+    sin_a = a.sin[i]
+    cos_b = b.cos[j]
+    sin_b = b.sin[j]
+    # of the angle between the two boxes
+    cos = np.abs(cos_a * cos_b + sin_a * sin_b)
+    sin = np.abs(sin_b * cos_a - cos_b * sin_a)
+    along = (length + length * cos + width * sin) / 2 + TOUCHING
+    across = (width + length * sin + width * cos) / 2 + TOUCHING
     touches: Flags = np.abs(x * cos_a + y * sin_a) < along
     touches &= np.abs(y * cos_a - x * sin_a) < across
     touches &= np.abs(x * cos_b + y * sin_b) < along
@@ -413,7 +435,8 @@ class Meeting(NamedTuple):
 def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Iterator[Meeting]:
     """Yield the conflicts between two paths, ordered along the second path."""
     wide = boxes_touch(a, b, pairs, WIDER)
-    i, j = pairs[0][wide], pairs[1][wide]
+    i = pairs[0][wide]
+    j = pairs[1][wide]
     # consecutive points of both paths at which widened boxes touch are one conflict
     for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
         known = np.unique(i[run])
@@ -425,37 +448,53 @@ def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Itera
 
 
 def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
-    x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
-    turned = np.abs(wrap_angle(b.heading[j] - a.heading[i]))
-    together = (np.abs(x * cos + y * sin) <= STEP / 2 + 1e-9) & (
-        np.abs(y * cos - x * sin) < ONE_LANE
+    ahead, aside, turned = _relative(a, b, i, j)
+    together = np.flatnonzero(
+        (np.abs(ahead) <= STEP / 2 + 1e-9) & (aside < ONE_LANE) & (turned < ONE_DIRECTION)
     )
-    together &= turned < ONE_DIRECTION
+    x = b.x[j] - a.x[i]
+    y = b.y[j] - a.y[i]
     nearest = int(np.argmin(x * x + y * y))
-    first, last = (int(i.min()), int(j.min())), (int(i.max()), int(j.max()))
+    # points of both paths
+    places = np.stack([i, j])
+    first = places.min(axis=1)
+    last = places.max(axis=1)
     length = round(CAR.length / STEP)
-    if together.any():
+    merges = False
+    if together.size:
         # If the paths merge, the conflict ends a vehicle's length after their first point in the same lane. If they
         # part, the conflict starts a vehicle's length before their last point in the same lane.
-        begins, ends = np.flatnonzero(together)[[0, -1]]
-        if min(int(i[begins]) - first[0], int(j[begins]) - first[1]) > 2:  # they merge
+        begins = together[0]
+        merges = bool((places[:, begins] - first).min() > 2)
+        if merges:
             nearest = int(begins)
-            last = int(i[begins]) + length, int(j[begins]) + length
-            merges = True
+            last = places[:, begins] + length
         else:
-            first = int(i[ends]) - length, int(j[ends]) - length
-            merges = False
-    else:
-        merges = False
-    stretches = tuple(
-        (max(since - 1, 0) * STEP, min(until + 1, len(course.x) - 1) * STEP)
-        for since, until, course in zip(first, last, (a, b), strict=True)
-    )
-    return Meeting((stretches[0], stretches[1]), (int(i[nearest]), int(j[nearest])), merges)
+            first = places[:, together[-1]] - length
+    since = np.maximum(first - 1, 0) * STEP
+    until = np.minimum(last + 1, [len(a.x) - 1, len(b.x) - 1]) * STEP
+    own, its = zip(since.tolist(), until.tolist(), strict=True)
+    return Meeting((own, its), (int(i[nearest]), int(j[nearest])), merges)
+
+
+def _relative(
+    a: Course, b: Course, i: IntArray, j: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    # For each pair of points: how far the second is ahead [m] and aside [m] of the first, and the angle [rad].
+    x = b.x[j] - a.x[i]
+    y = b.y[j] - a.y[i]
+    cos = a.cos[i]
+    sin = a.sin[i]
+    turned = np.abs(wrap_angle(b.heading[j] - a.heading[i]))
+    return x * cos + y * sin, np.abs(y * cos - x * sin), turned
 
 
 def _places(
-    a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float
+    a: Course,
+    b: Course,
+    pairs: tuple[IntArray, IntArray],
+    beside: float,
+    turned: float,
 ) -> FloatArray:
     """Return, for each point of path ``b``, the position [m] along path ``a``, or NaN.
 
@@ -463,23 +502,17 @@ def _places(
     ``turned`` [rad].
     """
     i, j = pairs
-    x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
-    ahead, aside = x * cos + y * sin, np.abs(y * cos - x * sin)
-    fits = (
-        (aside < beside)
-        & (np.abs(wrap_angle(b.heading[j] - a.heading[i])) < turned)
-        & (np.abs(ahead) <= STEP)
-    )
+    ahead, aside, angle = _relative(a, b, i, j)
+    fits = np.flatnonzero((aside < beside) & (angle < turned) & (np.abs(ahead) <= STEP))
     # the nearest position is written last, so it remains
-    order = np.argsort(-np.abs(ahead[fits]), kind="stable")
+    fits = fits[np.argsort(-np.abs(ahead[fits]), kind="stable")]
     places = np.full(len(b.x), np.nan)
-    places[j[fits][order]] = (i[fits] * STEP + ahead[fits])[order]
+    places[j[fits]] = i[fits] * STEP + ahead[fits]
     return places
 
 
-def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
+def _driven(wanted: list[float], limits: NpcLimits) -> FloatArray:
     """Return an NPC's speeds [m/s] along a path, given the desired speeds and the lag of the speed control."""
-    wanted = speeds.tolist()
     driven = wanted[:1]
     for speed in wanted[1:]:
         gained = (speed - driven[-1]) / SPEED_LAG
@@ -489,11 +522,22 @@ def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
 
 
 def _zone(
-    name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], network: Any, met: Meeting
+    name: str,
+    road: NetworkRoad,
+    line: Line,
+    lanes: Sequence[LaneIndex],
+    network: Any,
+    met: Meeting,
 ) -> Zone:
     here, there = (max(int((enters - APPROACH) / STEP), 0) for enters, _ in met.stretches)
     origin = _origin(wrap_angle(float(line.heading[there] - road.line.heading[here])))
-    kind: Kind = "merging" if met.merges else "oncoming" if origin == "ahead" else "crossing"
+    kind: Kind = "crossing"
+    if met.merges:
+        kind = "merging"
+    elif origin == "ahead":
+        kind = "oncoming"
+    x = line.x[::DRAWN].round(2).tolist()
+    y = line.y[::DRAWN].round(2).tolist()
     return Zone(
         way=name,
         kind=kind,
@@ -501,9 +545,7 @@ def _zone(
         ego=met.stretches[0],
         npc=met.stretches[1],
         priority=_holder(network, (road.line, road.route), (line, lanes), met),
-        line=tuple(
-            zip(line.x[::DRAWN].round(2).tolist(), line.y[::DRAWN].round(2).tolist(), strict=True)
-        ),
+        line=tuple(zip(x, y, strict=True)),
     )
 
 
@@ -513,7 +555,9 @@ def _origin(turned: float) -> Origin:
         return "ahead"
     if abs(turned) < ALONGSIDE:
         return "behind"
-    return "left" if turned > 0 else "right"
+    if turned > 0:
+        return "left"
+    return "right"
 
 
 def _holder(
@@ -523,47 +567,57 @@ def _holder(
     met: Meeting,
 ) -> Holder:
     # Which vehicle has priority in a conflict.
-    own, other = (
-        _lane_before(line, lanes, point, {index[:2] for index in others})
-        for (line, lanes), (_, others), point in zip(
-            (ego, npc), (npc, ego), met.closest, strict=True
-        )
-    )
-    priorities = {getattr(lane, "priority", 0) for lane in network.lanes_list()}
-    if len(priorities) > 1:  # if the network has highway-env's priorities, they decide
-        mine, theirs = (getattr(network.get_lane(index), "priority", 0) for index in (own, other))
+    own = _lane_before(*ego, met.closest[0], npc[1])
+    other = _lane_before(*npc, met.closest[1], ego[1])
+    priorities = {
+        index: getattr(network.get_lane(index), "priority", 0) for index in network.lanes_dict()
+    }
+    if (
+        len(set(priorities.values())) > 1
+    ):  # if the network has highway-env's priorities, they decide
+        mine = priorities[own]
+        theirs = priorities[other]
     else:
         # otherwise, a circulating vehicle has priority over an entering one
-        mine, theirs = _circulates(network, own), _circulates(network, other)
+        mine = _circulates(network, own)
+        theirs = _circulates(network, other)
         # where lanes merge, the main lane has priority, which turns less
         if mine == theirs and met.merges:
-            ends = [[int(place / STEP) for place in stretch] for stretch in met.stretches]
-            bends = [
-                abs(line.heading[b] - line.heading[a])
-                for (line, _), (a, b) in zip((ego, npc), ends, strict=True)
-            ]
-            mine, theirs = bends[0] + STRAIGHTER < bends[1], bends[1] + STRAIGHTER < bends[0]
-    return "none" if mine == theirs else "ego" if mine > theirs else "npc"
+            own_bend = _bend(ego[0], met.stretches[0])
+            other_bend = _bend(npc[0], met.stretches[1])
+            mine = own_bend + STRAIGHTER < other_bend
+            theirs = other_bend + STRAIGHTER < own_bend
+    if mine == theirs:
+        return "none"
+    if mine > theirs:
+        return "ego"
+    return "npc"
+
+
+def _bend(line: Line, stretch: Stretch) -> float:
+    # The angle [rad] by which a path turns in a stretch.
+    since, until = (int(place / STEP) for place in stretch)
+    return float(abs(line.heading[until] - line.heading[since]))
 
 
 def _lane_before(
-    line: Line, lanes: Sequence[LaneIndex], point: int, others: set[Section]
+    line: Line, lanes: Sequence[LaneIndex], point: int, others: Sequence[LaneIndex]
 ) -> LaneIndex:
     # The lane of a path at a point, or the last lane before that point that the other path does not share.
+    sections = {index[:2] for index in others}
     number = int(line.piece[point])
-    while number > 0 and lanes[number][:2] in others:
+    while number > 0 and lanes[number][:2] in sections:
         number -= 1
     return lanes[number]
 
 
 def _circulates(network: Any, lane: LaneIndex) -> bool:
     # Whether the road from the end of a lane leads back to the lane's start.
-    seen, queue = {lane[1]}, deque([lane[1]])
-    while queue:
-        for end in network.graph.get(queue.popleft(), {}):
-            if end == lane[0]:
-                return True
-            if end not in seen:
-                seen.add(end)
-                queue.append(end)
-    return False
+    start, end, _ = lane
+    seen = {end}
+    queue = [end]
+    for node in queue:
+        ahead = set(network.graph.get(node, {})) - seen
+        seen |= ahead
+        queue.extend(ahead)
+    return start in seen

@@ -9,6 +9,7 @@ regardless of the lane's real position.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,12 +23,10 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import FloatArray, Lane, Outcome
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import JunctionDirector
 from pytest_pafot.world.kernel.director import Director, NetworkDirector
-from pytest_pafot.world.kernel.lanes import Bends, Track
+from pytest_pafot.world.kernel.lanes import Bends, Body, Places, Track
 from pytest_pafot.world.kernel.observation import RoadSensor, Sensor
-from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.road import Meeting, Pose, Road
 
@@ -55,7 +54,8 @@ def allowed_speeds(
     slowing = min(SLOWING, limits.braking / 3)
     if stops is not None:
         speed = np.where(lengths >= stops, 0.0, speed)
-    squares, places = (speed**2).tolist(), lengths.tolist()
+    squares = (speed**2).tolist()
+    places = lengths.tolist()
     # backwards, so that gentle braking suffices for all following points
     for index in range(len(squares) - 2, -1, -1):
         reach = squares[index + 1] + 2 * slowing * (places[index + 1] - places[index])
@@ -79,10 +79,12 @@ def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> 
     # The rear axle is half a length behind the centre and moves in the direction of the heading. So the heading turns
     # by sin(direction - heading) / (length / 2) per metre.
     lean = [0.0]
-    for step, turn in zip(np.diff(lengths).tolist(), np.diff(direction).tolist(), strict=True):
-        settled = (
-            math.asin(max(-0.99, min(0.99, turn / step * vehicle_length / 2))) if step > 0 else 0.0
-        )
+    steps = np.diff(lengths).tolist()
+    turns = np.diff(direction).tolist()
+    for step, turn in zip(steps, turns, strict=True):
+        settled = 0.0
+        if step > 0:
+            settled = math.asin(max(-0.99, min(0.99, turn / step * vehicle_length / 2)))
         share = 1 - math.exp(-2 * step / vehicle_length)
         lean.append(lean[-1] + share * (-settled - lean[-1]))
     return np.array(lean)
@@ -90,9 +92,8 @@ def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> 
 
 def sharpest_ahead(curvature: FloatArray, lengths: FloatArray, reach: float) -> FloatArray:
     """Return the largest curvature [1/m] within a given distance ahead of each point of a lane."""
-    return _of_windows(
-        np.maximum, np.abs(curvature), np.searchsorted(lengths, lengths + reach, side="right")
-    )
+    ends = np.searchsorted(lengths, lengths + reach, side="right")
+    return _of_windows(np.maximum, np.abs(curvature), ends)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,23 +171,21 @@ class NetworkRoad(Road):
         return self._of_others[key]
 
     def _bends(self, columns: Sequence[Column]) -> Bends:
+        def joined(name: str) -> list[Any]:
+            return [value for each in columns for value in getattr(each, name)]
+
         line = self.line
-        exists = [flag for each in columns for flag in each.exists]
-        part = [number for each in columns for number in each.part]
-        across = [place for each in columns for place in each.across]
-        direction = [angle for each in columns for angle in each.direction]
-        lean = [angle for each in columns for angle in each.lean]
-        speed = [most for each in columns for most in each.speed]
-        sharpest = [most for each in columns for most in each.sharpest]
-        points, widths = (
-            (line.x.tolist(), line.y.tolist(), line.heading.tolist()),
-            [lane.width for lane in self.lanes],
-        )
         return Bends(
-            points,
-            (exists, part),
-            (across, direction, lean, speed, sharpest),
-            widths,
+            (line.x.tolist(), line.y.tolist(), line.heading.tolist()),
+            (joined("exists"), joined("part")),
+            (
+                joined("across"),
+                joined("direction"),
+                joined("lean"),
+                joined("speed"),
+                joined("sharpest"),
+            ),
+            [lane.width for lane in self.lanes],
             self.lane_width,
         )
 
@@ -200,16 +199,20 @@ class NetworkRoad(Road):
         return self.bends_of(vehicle).pose(lane, longitudinal)
 
     def beside(
-        self, network: Any, x: float, y: float, lane: int, along: float
+        self,
+        network: Any,
+        x: float,
+        y: float,
+        lane: int,
+        along: float,
     ) -> tuple[int, Outcome | None]:
         """Return the index of the lane of an ego that is on no lane of its path, and the outcome of the run.
 
         If the run continues, the outcome is None. ``lane`` is the nearest lane of the path, and ``along`` [m] is the
         position along the path.
         """
-        on = [
-            index for index, each in network.lanes_dict().items() if each.on_lane(np.array([x, y]))
-        ]
+        point = np.array([x, y])
+        on = [index for index, each in network.lanes_dict().items() if each.on_lane(point)]
         # if the ego is next to its lanes, but in a section of its path, the run continues
         if any(index[:2] in self.sections for index in on):
             return self.columns[lane].part[self.bends.point(along)], None
@@ -239,18 +242,27 @@ class NetworkRoad(Road):
     def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
         return all(vehicle.can_follow(max(column.sharpest)) for column in self.columns)
 
-    def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
+    def start_speed(
+        self,
+        wanted: float,
+        lane: int,
+        along: float,
+        vehicle: VehicleType,
+    ) -> float:
         bends = self.bends_of(vehicle)
         # Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and the faster it drives,
         # the faster it turns.
-        most = (
-            BEND_SHARE * self.limits.for_vehicle(vehicle).lateral_acceleration * vehicle.length / 2
-        )
+        limits = self.limits.for_vehicle(vehicle)
+        most = BEND_SHARE * limits.lateral_acceleration * vehicle.length / 2
         fastest = math.sqrt(most / max(math.sin(abs(bends.lean_at(lane, along))), 1e-9))
         return min(wanted, bends.speed_at(lane, along), fastest)
 
     def director(
-        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        limits: NpcLimits,
+        cells: frozenset[Cell],
+        **common: Any,
     ) -> Director | JunctionDirector:
         return NetworkDirector(scenario, self, limits, start_cells=cells, **common)
 
@@ -287,13 +299,17 @@ class NetworkRoad(Road):
         sight: Sight | None,
         ego: VehicleType,
     ) -> Sensor:
-        common = self.lane_count, self.lane_width, self.speed_limit, self.end
-        zones, leaning = (
-            list(self.zones(scenario)),
-            [*map(self.bends_of, (ego, *scenario.all_vehicles))],
+        return RoadSensor(
+            places,
+            record,
+            self.bends,
+            [self.bends_of(each) for each in (ego, *scenario.all_vehicles)],
+            self.zones(scenario),
+            (self.lane_count, self.lane_width, self.speed_limit, self.end),
+            *rates,
+            sight,
+            scenario.seed,
         )
-        seen = None if sight is None else (sight, scenario.seed)
-        return RoadSensor(places, record, self.bends, leaning, zones, common, *rates, seen)
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
         # highway-env predicts vehicles along their routes. NPCs have none, so it would assume constant steering.
@@ -304,33 +320,37 @@ class NetworkRoad(Road):
         # NPCs on the grid drive only on the path's own lanes
         own_lanes = len(self.lanes) - len(self.others)
         ways = zip(self.others, self.lanes[own_lanes:], strict=True)
-        return frozenset(filter(None, (self._meeting(index[:2], lane) for index, lane in ways)))
+        meetings = (self._meeting(index[:2], lane) for index, lane in ways)
+        return frozenset(meeting for meeting in meetings if meeting is not None)
 
     def _meeting(self, section: tuple[str, str], lane: Lane) -> Meeting | None:
-        nodes, ends = (
-            {node for each in self.sections for node in each},
-            {end for _, end in self.sections},
-        )
         is_turned = section[::-1] in self.sections
+        starts, ends = map(set, zip(*self.sections, strict=True))
         if section[1] in ends:
             return "joins"
-        if not is_turned and not nodes.isdisjoint(section):
+        if not is_turned and not (starts | ends).isdisjoint(section):
             return None
-        places = np.linspace(0.0, lane.length, max(2, math.ceil(lane.length)))
-        straight = np.stack(
-            [lane.x + math.cos(lane.heading) * places, lane.y + math.sin(lane.heading) * places],
-            axis=-1,
-        )
-        points = np.array(lane.points) if lane.points else straight
+        points = np.array(lane.points)
+        if not lane.points:  # the lane is straight
+            places = np.linspace(0.0, lane.length, max(2, math.ceil(lane.length)))
+            x = lane.x + math.cos(lane.heading) * places
+            y = lane.y + math.sin(lane.heading) * places
+            points = np.stack([x, y], axis=-1)
         apart = np.hypot(points[:, :1] - self.line.x, points[:, 1:] - self.line.y)
         if not is_turned:
-            return "crosses" if apart.min() < self.lane_width / 2 else None
+            is_near = apart.min() < self.lane_width / 2
+            if is_near:
+                return "crosses"
+            return None
         # The two halves of a roundabout connect the same two nodes, as do the two directions of a road. But where the
         # two halves meet, they have the same direction.
         here, there = np.unravel_index(int(apart[:-1].argmin()), apart[:-1].shape)
         x, y = points[here + 1] - points[here]
         heading = self.line.heading[there]
-        return "oncoming" if x * math.cos(heading) + y * math.sin(heading) < 0 else None
+        ahead = x * math.cos(heading) + y * math.sin(heading)
+        if ahead < 0:
+            return "oncoming"
+        return None
 
 
 LaneIndex = tuple[str, str, int]
@@ -387,21 +407,21 @@ def way(
     The ego starts in lane ``start`` at the position ``at`` [m]. ``planned`` is the ego's ``route`` in highway-env. The
     path extends ``ahead`` [m] and ``behind`` [m] from the start, or less if the network ends before that.
     """
-    first = Piece(start, network.get_lane(start), 0.0, float(network.get_lane(start).length))
-    before: list[Piece] = []
-    piece, wanted = first, behind - at
-    while wanted > 0 and (leading := _predecessor(network, piece)) is not None:
-        before.insert(0, leading)
-        piece, wanted = leading, wanted - leading.end
-    after: list[Piece] = []
+    lane = network.get_lane(start)
+    pieces = deque([Piece(start, lane, 0.0, float(lane.length))])
+    wanted = behind - at
+    while wanted > 0 and (leading := _predecessor(network, pieces[0])) is not None:
+        pieces.appendleft(leading)
+        wanted -= leading.end
+    first = len(pieces) - 1
     route = [step for step in planned or () if tuple(step[:2]) != start[:2]]
-    piece, wanted = first, ahead - (first.end - at)
-    while wanted > 0 and (following := _successor(network, piece, route)) is not None:
-        after.append(following)
-        piece, wanted = following, wanted - (following.end - following.begin)
+    wanted = ahead - (pieces[-1].end - at)
+    while wanted > 0 and (following := _successor(network, pieces[-1], route)) is not None:
+        pieces.append(following)
+        wanted -= following.end - following.begin
         if route and tuple(route[0][:2]) == following.index[:2]:
             route.pop(0)
-    return (*before, first, *after), len(before)
+    return tuple(pieces), first
 
 
 def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
@@ -409,20 +429,29 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
     origin, node, number = last.index
     point = last.lane.position(last.end, 0)
     deciding = last.lane.position(max(last.end - DECIDED_BEFORE, last.begin), 0)
-    is_planned = bool(route) and route[0][0] == node
-    ends = [route[0][1]] if is_planned else list(network.graph.get(node, {}))
-    found: list[tuple[float, Piece]] = []
-    for end in ends:
-        wanted = route[0][2] if is_planned else None
+    ends = [(end, None) for end in network.graph.get(node, {})]
+    if route and route[0][0] == node:
+        ends = [route[0][1:]]
+    nearest = math.inf
+    found = None
+    for end, wanted in ends:
         chosen, distance = network.next_lane_given_next_road(
-            origin, node, number, end, wanted, deciding
+            origin,
+            node,
+            number,
+            end,
+            wanted,
+            deciding,
         )
-        lane = network.get_lane((node, end, chosen))
-        begin = min(max(float(lane.local_coordinates(point)[0]), 0.0), float(lane.length))
-        piece = Piece((node, end, chosen), lane, begin, float(lane.length))
-        if piece.end - piece.begin > STEP and is_drivable(last, piece):
-            found.append((float(distance), piece))
-    return min(found, key=lambda each: each[0])[1] if found else None
+        index = node, end, chosen
+        lane = network.get_lane(index)
+        length = float(lane.length)
+        begin = min(max(float(lane.local_coordinates(point)[0]), 0.0), length)
+        piece = Piece(index, lane, begin, length)
+        if distance < nearest and length - begin > STEP and is_drivable(last, piece):
+            nearest = distance
+            found = piece
+    return found
 
 
 def is_dead_end(network: Any, last: Piece) -> bool:
@@ -433,30 +462,30 @@ def is_dead_end(network: Any, last: Piece) -> bool:
 def _predecessor(network: Any, piece: Piece) -> Piece | None:
     """Return the nearest piece from which a vehicle can drive to ``piece``."""
     point = np.asarray(piece.lane.position(0, 0))
-    lanes = network.lanes_dict().items()
-    leading = (
+
+    def distance(leading: Piece) -> float:
+        return float(np.linalg.norm(leading.lane.position(leading.end, 0) - point))
+
+    pieces = (
         Piece(index, lane, 0.0, float(lane.length))
-        for index, lane in lanes
+        for index, lane in network.lanes_dict().items()
         if index[1] == piece.index[0]
     )
-    found = [each for each in leading if each.end > STEP and is_drivable(each, piece)]
-    return min(
-        found,
-        key=lambda each: np.linalg.norm(each.lane.position(each.end, 0) - point),
-        default=None,
-    )
+    found = [each for each in pieces if each.end > STEP and is_drivable(each, piece)]
+    return min(found, key=distance, default=None)
 
 
 def is_drivable(last: Piece, piece: Piece) -> bool:
     """Return whether a vehicle can drive from the end of one piece to the start of the next."""
-    step = np.asarray(piece.lane.position(piece.begin, 0)) - np.asarray(
-        last.lane.position(last.end, 0)
-    )
+    here = np.asarray(last.lane.position(last.end, 0))
+    x, y = np.asarray(piece.lane.position(piece.begin, 0)) - here
     heading = float(last.lane.heading_at(last.end))
     turn = wrap_angle(float(piece.lane.heading_at(piece.begin)) - heading)
-    sideways = abs(step[1] * math.cos(heading + turn / 2) - step[0] * math.sin(heading + turn / 2))
-    is_beside = sideways > 0.6 * float(last.lane.width_at(last.end))
-    return float(np.hypot(*step)) <= WIDEST_GAP and abs(turn) <= SHARPEST_BEND and not is_beside
+    middle = heading + turn / 2
+    sideways = abs(y * math.cos(middle) - x * math.sin(middle))
+    if sideways > 0.6 * float(last.lane.width_at(last.end)):  # it is beside the last piece
+        return False
+    return float(np.hypot(x, y)) <= WIDEST_GAP and abs(turn) <= SHARPEST_BEND
 
 
 def line_of(pieces: Sequence[Piece]) -> Line:
@@ -465,13 +494,15 @@ def line_of(pieces: Sequence[Piece]) -> Line:
     joints = []
     for joint in (np.flatnonzero(np.diff(owners)) + 1).tolist():
         near = points[max(joint - 4, 0) : joint + 6]
-        heading = np.unwrap(np.arctan2(*np.diff(near, axis=0).T[::-1]))
+        dx, dy = np.diff(near, axis=0).T
+        heading = np.unwrap(np.arctan2(dy, dx))
         if len(heading) > 1 and np.abs(np.diff(heading)).max() > ROUGH:
             joints.append(joint)
     if joints:
         points, owners = _spaced(_rounded(points, joints), owners)
-    dx, dy = np.gradient(points[:, 0]), np.gradient(points[:, 1])
-    return Line(x=points[:, 0], y=points[:, 1], heading=np.unwrap(np.arctan2(dy, dx)), piece=owners)
+    x, y = points.T
+    heading = np.unwrap(np.arctan2(np.gradient(y), np.gradient(x)))
+    return Line(x=x, y=y, heading=heading, piece=owners)
 
 
 def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
@@ -491,22 +522,35 @@ def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
 
 
 def _spaced(points: FloatArray, owners: Any) -> tuple[FloatArray, Any]:
-    length = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    length = distances(points)
     places = np.arange(0.0, length[-1] + STEP / 2, STEP)
-    spaced = np.stack([np.interp(places, length, points[:, axis]) for axis in (0, 1)], axis=-1)
-    return spaced, owners[np.clip(np.searchsorted(length, places - 1e-9), 0, len(owners) - 1)]
+    spaced = np.stack([np.interp(places, length, axis) for axis in points.T], axis=-1)
+    nearest = np.searchsorted(length, places - 1e-9)
+    return spaced, owners[np.minimum(nearest, len(owners) - 1)]
+
+
+def distances(points: FloatArray) -> FloatArray:
+    """Return the distance [m] of each point of a line from its start, along the line."""
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def bell_curve(scale: float) -> tuple[FloatArray, int]:
+    """Return weights that round off a line over a length scale [m], and their number on each side of the middle."""
+    reach = round(3 * scale / STEP)
+    places = np.arange(-reach, reach + 1) * STEP / scale
+    weights = np.exp(-0.5 * places**2)
+    return weights / weights.sum(), reach
 
 
 def _rounded(points: FloatArray, joints: Sequence[int]) -> FloatArray:
-    reach = round(3 * BLEND / STEP)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / BLEND) ** 2)
-    kernel /= kernel.sum()
-    ends = points[0] - (points[1] - points[0]) * np.arange(reach, 0, -1)[:, None]
-    beyond = points[-1] + (points[-1] - points[-2]) * np.arange(1, reach + 1)[:, None]
-    padded = np.concatenate([ends, points, beyond])
-    smooth = np.stack(
-        [np.convolve(padded[:, axis], kernel, mode="valid") for axis in (0, 1)], axis=-1
-    )
+    weights, reach = bell_curve(BLEND)
+    # the line continues straight before its start and after its end
+    steps = np.arange(1, reach + 1)[:, None]
+    before = points[0] - (points[1] - points[0]) * steps[::-1]
+    after = points[-1] + (points[-1] - points[-2]) * steps
+    padded = np.concatenate([before, points, after])
+    smooth = np.stack([np.convolve(axis, weights, mode="valid") for axis in padded.T], axis=-1)
     places = np.arange(len(points))
     share = np.zeros(len(points))
     for joint in joints:

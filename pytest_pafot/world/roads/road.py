@@ -18,12 +18,10 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.driving.policy import ImperfectSensor
-from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import JunctionDirector
 from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.kernel.lanes import Body, Lanes, Places
 from pytest_pafot.world.kernel.observation import Observer, Sensor
-from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 
 Meeting = Literal["crosses", "joins", "oncoming"]
@@ -122,7 +120,13 @@ class Road(ABC):
         """Return whether a vehicle can follow all bends of the ego's path or of the path with the given zone."""
         return True
 
-    def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
+    def start_speed(
+        self,
+        wanted: float,
+        lane: int,
+        along: float,
+        vehicle: VehicleType,
+    ) -> float:
         """Limit the start speed [m/s] of an NPC to the speed that the road allows."""
         return wanted
 
@@ -130,7 +134,11 @@ class Road(ABC):
 
     @abstractmethod
     def director(
-        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        limits: NpcLimits,
+        cells: frozenset[Cell],
+        **common: Any,
     ) -> Director | JunctionDirector:
         """Create the director of the NPCs, which can start in ``cells``."""
 
@@ -191,7 +199,8 @@ class StraightRoad(Road):
     _cells: tuple[frozenset[Cell], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        first, count = self.lanes[0], len(self.lanes)
+        first = self.lanes[0]
+        count = len(self.lanes)
         cells = tuple(
             frozenset(cell for cell in Cell if 0 <= lane + cell.column < count)
             for lane in range(count)
@@ -206,7 +215,11 @@ class StraightRoad(Road):
 
     @classmethod
     def uniform(
-        cls, lanes: int, length: float, lane_width: float, speed_limit: float
+        cls,
+        lanes: int,
+        length: float,
+        lane_width: float,
+        speed_limit: float,
     ) -> StraightRoad:
         """Create a road of equal lanes that start at x = 0, with the centre of lane 0 at y = 0."""
         return cls(
@@ -266,10 +279,19 @@ class StraightRoad(Road):
         return self._cells[lane]
 
     def director(
-        self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
+        self,
+        scenario: Scenario,
+        limits: NpcLimits,
+        cells: frozenset[Cell],
+        **common: Any,
     ) -> Director:
         return Director(
-            scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common
+            scenario,
+            self.grid,
+            limits,
+            speed_limit=self.speed_limit,
+            cells=self._cells,
+            **common,
         )
 
     def places(
@@ -295,4 +317,6 @@ class StraightRoad(Road):
     ) -> Sensor:
         sizes = [(each.length, each.width) for each in places.vehicles]
         observer = Observer(record, sizes, self.grid, self.speed_limit, *rates, *self._origin)
-        return observer if sight is None else ImperfectSensor(observer, sight, scenario.seed)
+        if sight is None:
+            return observer
+        return ImperfectSensor(observer, sight, scenario.seed)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,8 @@ from pytest_pafot.world.roads.network import (
     Piece,
     Shaped,
     allowed_speeds,
+    bell_curve,
+    distances,
     is_dead_end,
     leans,
     line_of,
@@ -65,12 +67,19 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     Raises:
         WorldError: if grid coordinates cannot be used on the road.
     """
-    network, ego = env.road.network, env.vehicle
+    network = env.road.network
+    ego = env.vehicle
     index, at = _start(network, ego, name)
     pieces, first = way_of(
-        network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND
+        network,
+        index,
+        at,
+        getattr(ego, "route", None),
+        ahead=ahead,
+        behind=ROOM_BEHIND,
     )
-    line, speed = line_of(pieces), float(ego.speed)
+    line = line_of(pieces)
+    speed = float(ego.speed)
     # the line is the ego's path, and the strips are the lanes along it
     strips = _strips(network, pieces, line, speed)
     curvature = curvature_of(line)
@@ -139,14 +148,12 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
 def _place(line: Line, piece: int, point: FloatArray) -> float:
     # The position [m] along the line of a point on one of the line's pieces.
     # A large additional distance excludes points of other pieces.
-    distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(
-        line.piece == piece, 0.0, 1e6
-    )
+    x = point[0] - line.x
+    y = point[1] - line.y
+    distance = np.hypot(x, y) + np.where(line.piece == piece, 0.0, 1e6)
     near = int(distance.argmin())
     heading = line.heading[near]
-    ahead = (point[0] - line.x[near]) * math.cos(heading) + (point[1] - line.y[near]) * math.sin(
-        heading
-    )
+    ahead = x[near] * math.cos(heading) + y[near] * math.sin(heading)
     return min(max(near * STEP + float(ahead), 0.0), (len(line.x) - 1) * STEP)
 
 
@@ -156,9 +163,8 @@ def _strips(
     """Return the lanes along the ego's path by number. The ego's lane is 0, and lanes to its left are negative."""
     strips: dict[int, _Strip] = {}
     for point, owner in enumerate(line.piece):
-        for number, (across, lane, longitudinal) in _beside(
-            network, pieces[owner], line, point
-        ).items():
+        beside = _beside(network, pieces[owner], line, point)
+        for number, (across, lane, longitudinal) in beside.items():
             if number not in strips:
                 strips[number] = _Strip(len(line.x))
             strip = strips[number]
@@ -177,68 +183,67 @@ def _beside(
     network: Any, piece: Piece, line: Line, point: int
 ) -> dict[int, tuple[float, Any, float]]:
     # By number, for each lane at a point of the line: the lateral distance, the lane and the position along the lane.
-    x, y, heading = float(line.x[point]), float(line.y[point]), float(line.heading[point])
-    place, cos, sin = np.array([x, y]), math.cos(heading), math.sin(heading)
+    x = float(line.x[point])
+    y = float(line.y[point])
+    heading = float(line.heading[point])
+    place = np.array([x, y])
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     origin, end, own = piece.index
     found = []
     for number, lane in enumerate(network.graph[origin][end]):
-        longitudinal = float(lane.local_coordinates(place)[0])
-        reaches = -BEYOND_ENDS <= longitudinal <= lane.length + BEYOND_ENDS
+        along = float(lane.local_coordinates(place)[0])
         if number == own:
-            found.append((0.0, True, lane, min(max(longitudinal, 0.0), float(lane.length))))
-        elif (
-            reaches
-            and abs(wrap_angle(float(lane.heading_at(longitudinal)) - heading)) <= SAME_DIRECTION
-        ):
-            there_x, there_y = map(float, lane.position(longitudinal, 0))
-            found.append(((there_y - y) * cos - (there_x - x) * sin, False, lane, longitudinal))
-    if len(found) == 1:
-        return {0: (0.0, found[0][2], found[0][3])}
+            own_entry = 0.0, lane, min(max(along, 0.0), float(lane.length))
+            found.append(own_entry)
+            continue
+        if not -BEYOND_ENDS <= along <= lane.length + BEYOND_ENDS:
+            continue
+        if abs(wrap_angle(float(lane.heading_at(along)) - heading)) <= SAME_DIRECTION:
+            there_x, there_y = map(float, lane.position(along, 0))
+            across = (there_y - y) * cos - (there_x - x) * sin
+            found.append((across, lane, along))
     found.sort(key=lambda each: each[0])  # from the left, with the ego's lane as number 0
-    own_rank = next(rank for rank, each in enumerate(found) if each[1])
-    return {
-        rank - own_rank: (across, lane, at)
-        for rank, (across, _, lane, at) in _neighbours(found, own_rank)
-    }
+    own_rank = found.index(own_entry)
+    return {rank - own_rank: found[rank] for rank in _adjacent(found, own_rank)}
 
 
-def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
-    """Yield the rank and the entry of the ego's lane in ``found``, and then of the adjacent lanes on each side."""
-    yield own, found[own]
+def _adjacent(found: list[tuple[float, Any, float]], own: int) -> Iterator[int]:
+    """Yield the rank of the ego's lane in ``found``, and then the ranks of the adjacent lanes on each side."""
+    yield own
     for way_out in (range(own, -1, -1), range(own, len(found))):
         for before, rank in pairwise(way_out):
-            apart = abs(found[rank][0] - found[before][0])
-            width = (
-                float(
-                    found[rank][2].width_at(found[rank][3])
-                    + found[before][2].width_at(found[before][3])
-                )
-                / 2
-            )
+            across, lane, at = found[rank]
+            its_across, its_lane, its_at = found[before]
+            apart = abs(across - its_across)
+            width = float(lane.width_at(at) + its_lane.width_at(its_at)) / 2
             if not 0.6 * width < apart < 1.5 * width:  # the lanes overlap or are separated
                 break
-            yield rank, found[rank]
+            yield rank
 
 
 def _bridge(strip: _Strip) -> None:
     for before, after in pairwise(_parts(strip.exists)):
-        last, following = before[-1], after[0]
+        last = before[-1]
+        following = after[0]
         is_near = (following - last) * STEP <= BRIDGED
         if is_near and abs(strip.across[following] - strip.across[last]) <= SAME_LANE:
             between = np.arange(last + 1, following)
             strip.across[between] = np.interp(
-                between, [last, following], strip.across[[last, following]]
+                between,
+                [last, following],
+                strip.across[[last, following]],
             )
-            strip.limit[between], strip.width[between] = strip.limit[last], strip.width[last]
+            strip.limit[between] = strip.limit[last]
+            strip.width[between] = strip.width[last]
             strip.exists[between] = True
 
 
 def _smooth(strip: _Strip) -> None:
-    reach = round(3 * EVENED / STEP)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / EVENED) ** 2)
+    weights, reach = bell_curve(EVENED)
     for part in _parts(strip.exists):
         padded = np.pad(strip.across[part], reach, mode="edge")
-        strip.across[part] = np.convolve(padded, kernel / kernel.sum(), mode="valid")
+        strip.across[part] = np.convolve(padded, weights, mode="valid")
 
 
 def _drop_broken(strip: _Strip, line: Line) -> None:
@@ -246,14 +251,19 @@ def _drop_broken(strip: _Strip, line: Line) -> None:
     strip.exists[np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)] = False
     for part in _parts(strip.exists):
         # parts that are too short or too sharply curved are dropped
-        is_short = len(part) * STEP < SHORTEST_LANE
-        if is_short or np.abs(_curvature(*_course(line, strip.across, part)[2:])).max() > TIGHTEST:
+        if len(part) * STEP < SHORTEST_LANE:
+            strip.exists[part] = False
+            continue
+        _, _, direction, lengths = _course(line, strip.across, part)
+        if np.abs(_curvature(direction, lengths)).max() > TIGHTEST:
             strip.exists[part] = False
 
 
 def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
     indices = np.flatnonzero(exists)
-    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if indices.size else []
+    if indices.size:
+        return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
+    return []
 
 
 def _course(
@@ -266,8 +276,7 @@ def _course(
     turned = np.arctan2(np.gradient(y), np.gradient(x)) - heading
     # Not wrap_angle(turned), which rounds differently: runs of saved scenarios would change.
     direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi
-    lengths = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
-    return x, y, direction, lengths
+    return x, y, direction, distances(np.stack([x, y], axis=-1))
 
 
 def curvature_of(line: Line) -> FloatArray:
@@ -322,13 +331,15 @@ def _columns(
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
             # NPCs stop where a lane ends before the line ends, and where the ego's lane is a dead end.
             goes_on = part[-1] == len(line.x) - 1 and not (is_dead_end and number == 0)
-            stops = (
-                None
-                if goes_on
-                else float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
-            )
+            stops = None
+            if not goes_on:
+                stops = float(lengths[-1]) - (STOP_BEFORE_END + (vehicle_length - CAR.length) / 2)
             column["speed"][part] = allowed_speeds(
-                curvature, strip.limit[part], stops, lengths, limits
+                curvature,
+                strip.limit[part],
+                stops,
+                lengths,
+                limits,
             )
             lane = _lane(
                 x,
@@ -339,8 +350,12 @@ def _columns(
                 float(strip.limit[part].max()),
             )
             # in the trace, the first parts of all lanes come first
-            part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)
-            (others if order else firsts).append(lane)
+            if order == 0:
+                part_of[part] = len(firsts)
+                firsts.append(lane)
+            else:
+                part_of[part] = len(numbers) + len(others)
+                others.append(lane)
         columns.append(
             Column(
                 exists=strip.exists.tolist(),
@@ -359,8 +374,13 @@ def _lane(
     width: float,
     speed_limit: float,
 ) -> Lane:
-    rows = sorted({*range(0, len(x), round(POINT_STEP / STEP)), len(x) - 1})
-    is_straight = bool(np.abs(direction - direction[0]).max() < 1e-9)
+    points = list(zip(x.tolist(), y.tolist(), strict=True))
+    shown = points[:: round(POINT_STEP / STEP)]
+    if shown[-1] is not points[-1]:
+        shown.append(points[-1])
+    # a straight lane needs no points
+    if np.abs(direction - direction[0]).max() < 1e-9:
+        shown = []
     return Lane(
         x=float(x[0]),
         y=float(y[0]),
@@ -368,19 +388,18 @@ def _lane(
         length=float(lengths[-1]),
         width=width,
         speed_limit=speed_limit,
-        points=() if is_straight else tuple((float(x[row]), float(y[row])) for row in rows),
+        points=tuple(shown),
     )
 
 
 def _other_lane(lane: Any, ego_speed: float) -> Lane:
-    places = np.linspace(0.0, float(lane.length), max(2, math.ceil(lane.length / STEP)))
-    points = np.array([lane.position(float(place), 0) for place in places], dtype=float)
-    direction = np.unwrap([float(lane.heading_at(float(place))) for place in places])
-    lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    count = max(2, math.ceil(lane.length / STEP))
+    places = np.linspace(0.0, float(lane.length), count).tolist()
+    points = np.array([lane.position(place, 0) for place in places], dtype=float)
+    direction = np.unwrap([float(lane.heading_at(place)) for place in places])
     limit = max(lane.speed_limit or 0.0, ego_speed)
-    return _lane(
-        points[:, 0], points[:, 1], direction, lengths, float(lane.width_at(lane.length / 2)), limit
-    )
+    width = float(lane.width_at(lane.length / 2))
+    return _lane(points[:, 0], points[:, 1], direction, distances(points), width, limit)
 
 
 SECTION = 5.0  # length of the sections that `network_of` makes [m]
@@ -402,19 +421,24 @@ def straight_along(
             driving.
         width: the width [m] of the lanes.
     """
-    first = lines[0]
-    heading = math.atan2(*(first[-1] - first[0])[::-1])
-    cos, sin = math.cos(heading), math.sin(heading)
-    begin, end = 0.0, math.inf
+    origin = lines[0][0]
+    x, y = lines[0][-1] - origin
+    heading = math.atan2(y, x)
+    forward = np.array([math.cos(heading), math.sin(heading)])
+    right = np.array([-forward[1], forward[0]])
+    begin = 0.0
+    end = math.inf
     for number, line in enumerate(lines):
-        moved = line - first[0]  # along and across the first line
-        along, across = moved @ np.array([cos, sin]), moved @ np.array([-sin, cos])
+        moved = line - origin
+        along = moved @ forward
+        across = moved @ right
         if np.abs(across - number * width).max() > ALMOST or (np.diff(along) <= 0.0).any():
             return None
-        begin, end = max(begin, float(along[0])), min(end, float(along[-1]))
-        if abs(along[0]) > width or abs(along[-1] - np.hypot(*(first[-1] - first[0]))) > width:
+        begin = max(begin, float(along[0]))
+        end = min(end, float(along[-1]))
+        if abs(along[0]) > width or abs(along[-1] - np.hypot(x, y)) > width:
             return None  # a lane that starts or ends at another position
-    x, y = first[0] + begin * np.array([cos, sin])
+    x, y = origin + begin * forward
     return (float(x), float(y), heading), end - begin
 
 
@@ -437,25 +461,28 @@ def network_of(
     stations = longest[:: max(1, round(SECTION))]
     if len(stations) > 1 and math.dist(stations[-1], longest[-1]) > SECTION / 2:
         stations = np.vstack([stations, longest[-1:]])
-    tangent = np.gradient(stations, axis=0, edge_order=2 if len(stations) > 2 else 1)
+    tangent = _gradient(stations)
     tangent /= np.hypot(*tangent.T)[:, None]
     # farther points belong to another turn of a spiral, or to a loop's other side
     reach = 2.0 * width * len(lines)
     ways = [_at_stations(curve, stations, tangent, reach) for curve in curves]
     _check_order(ways, tangent, width, name)
-    turns = [np.unwrap(np.arctan2(*_slopes(way).T[::-1])) for way in ways]
+    turns = [_directions(way) for way in ways]
     network = RoadNetwork()
     common = {"width": width, "speed_limit": speed_limit}
     # in each section, each lane is a straight line or a circle through both ends
     for number, (here, there) in enumerate(pairwise(range(len(stations)))):
         for way, turn in zip(ways, turns, strict=True):
-            start, end, angle = way[here], way[there], float(turn[there] - turn[here])
+            start = way[here]
+            end = way[there]
+            angle = float(turn[there] - turn[here])
             if not np.isfinite([*start, *end]).all():
                 continue
             if not abs(angle) > STRAIGHT:
                 network.add_lane(str(number), str(number + 1), StraightLane(start, end, **common))
                 continue
-            chord, (dx, dy) = math.dist(start, end), end - start
+            chord = math.dist(start, end)
+            dx, dy = end - start
             radius = chord / (2.0 * math.sin(abs(angle) / 2.0))
             side = math.copysign(1.0, angle)  # 1 to the right, where y is positive
             toward = math.atan2(dy, dx) + side * math.pi / 2
@@ -469,14 +496,13 @@ def network_of(
 
 def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, name: str) -> None:
     for number, (left, right) in enumerate(pairwise(ways), start=1):
-        across = ((right - left) * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)).sum(axis=1)
+        to_the_right = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+        across = ((right - left) * to_the_right).sum(axis=1)
         if np.isnan(across).all():
             continue
-        apart, least, most = (
-            float(np.nanmedian(across)),
-            float(np.nanmin(across)),
-            float(np.nanmax(across)),
-        )
+        apart = float(np.nanmedian(across))
+        least = float(np.nanmin(across))
+        most = float(np.nanmax(across))
         if apart < (1.0 - MOST_OVERLAP) * width and most - least > width / 2:
             expected = (
                 f"a lane {width:g} m to the right of lanes[{number - 1}] along its entire length"
@@ -484,14 +510,20 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
             received = f"a lane that is {least:.1f} to {most:.1f} m to the right"
             fix = "are the lines shifted along a coordinate axis instead of across the road?"
             raise WorldError(
-                field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix
+                field=f"{name}.lanes[{number}]",
+                expected=expected,
+                received=received,
+                fix=fix,
             )
         if apart < 0.0:
             expected = "lanes in order from left to right, as a driver sees them"
             received = f"a lane {-apart:.1f} m to the left of the previous lane"
             fix = "is y_is_left wrong, or are the points in reverse order? Otherwise, reverse the list of lanes"
             raise WorldError(
-                field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix
+                field=f"{name}.lanes[{number}]",
+                expected=expected,
+                received=received,
+                fix=fix,
             )
         if apart < (1.0 - MOST_OVERLAP) * width:
             expected = (
@@ -500,31 +532,45 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
             )
             fix = "are lane_width and the points of the lanes in the unit that `metres` specifies?"
             raise WorldError(
-                field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m", fix=fix
+                field=f"{name}.lane_width",
+                expected=expected,
+                received=f"{width:.2f} m",
+                fix=fix,
             )
 
 
-def _slopes(way: FloatArray) -> FloatArray:
-    # The tangent vector of a lane at each point.
-    slopes = np.full_like(way, np.nan)
+def _gradient(points: FloatArray, *places: FloatArray) -> Any:
+    # at the ends of a line, tangents of a parabola, so that a bend starts with its curvature
+    edge_order: Literal[1, 2] = 1
+    if len(points) > 2:
+        edge_order = 2
+    return np.gradient(points, *places, axis=0, edge_order=edge_order)
+
+
+def _directions(way: FloatArray) -> FloatArray:
+    # The direction [rad] of a lane at each point.
+    slopes = np.zeros_like(way)
     known = np.flatnonzero(np.isfinite(way[:, 0]))
-    # at the ends of the lane, tangents of a parabola, so that a bend starts with its curvature
     if len(known) > 1:
-        slopes[known] = np.gradient(way[known], axis=0, edge_order=2 if len(known) > 2 else 1)
-    slopes[np.isnan(slopes)] = 0.0
-    return slopes
+        slopes[known] = _gradient(way[known])
+    dx, dy = slopes.T
+    directions: FloatArray = np.unwrap(np.arctan2(dy, dx))
+    return directions
 
 
 def _curve(line: FloatArray) -> FloatArray:
     """Return points about a metre apart on a smooth curve through a line's points (Catmull and Rom 1974)."""
     steps = np.hypot(*np.diff(line, axis=0).T)
-    places = np.concatenate(([0.0], np.cumsum(steps)))
-    slopes = np.gradient(line, places, axis=0, edge_order=2 if len(line) > 2 else 1)
-    wanted = np.linspace(0.0, places[-1], max(2, round(float(places[-1])) + 1))
-    part = np.clip(np.searchsorted(places, wanted, side="right") - 1, 0, len(steps) - 1)
+    places = distances(line)
+    slopes = _gradient(line, places)
+    count = max(2, round(float(places[-1])) + 1)
+    wanted = np.linspace(0.0, places[-1], count)
+    part = np.searchsorted(places, wanted, side="right") - 1
+    part = np.clip(part, 0, len(steps) - 1)
     share = ((wanted - places[part]) / steps[part])[:, None]
     length = steps[part][:, None]
-    square, cube = share**2, share**3
+    square = share**2
+    cube = share**3
     curve: FloatArray = (
         (2 * cube - 3 * square + 1) * line[part]
         + (cube - 2 * square + share) * length * slopes[part]
@@ -544,9 +590,11 @@ def _at_stations(
         crossing = np.flatnonzero((ahead[:-1] <= 1e-6) & (ahead[1:] >= -1e-6))
         if not crossing.size:
             continue
-        near = min(crossing.tolist(), key=lambda each: float(np.hypot(*(curve[each] - station))))
-        if np.hypot(*(curve[near] - station)) > reach:
+        x, y = (curve[crossing] - station).T
+        distances_there = np.hypot(x, y)
+        if distances_there.min() > reach:
             continue
+        near = crossing[distances_there.argmin()]
         share = -ahead[near] / (ahead[near + 1] - ahead[near])
         found[number] = curve[near] + min(max(share, 0.0), 1.0) * (curve[near + 1] - curve[near])
     return found

@@ -118,7 +118,7 @@ class OfItsOwn:
 def test_perception_passes_questions_to_the_policy_factory():
     class Loading:
         def check_world(self, world):
-            raise WorldError(field="lanes", received=str(world.lanes))
+            raise WorldError("lanes", "others", str(world.lanes))
 
         def __call__(self):
             return Watching()

@@ -20,7 +20,7 @@ from pytest_pafot.world.driving.vehicles import (
     straight_network,
     straight_road,
 )
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from tests.helpers.stages import mostly_oracle, oracle
 from tests.helpers.tables import table
 

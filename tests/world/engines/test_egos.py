@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from example_ads import defects
 from pytest_pafot import Highway, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world import base_world as egos
 from pytest_pafot.world.driving.environment import ObjectDriver
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
-from pytest_pafot.world.engines import run as egos
 from pytest_pafot.world.engines.run import VehiclesOfRun
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Body
 from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import ALL_EGOS, Case, Hurried, differences
@@ -187,7 +187,7 @@ def overrun():
     """
     world, npcs = Highway(), [[PositionInstruction(2, 20.0)]]
     scenario = Scenario.repaired(npcs, seed=1, ego_lane=1, ego_speed=20.0)
-    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), lambda: world.stock_road)
+    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), world.stock_road)
     for _ in range(world.rules.ticks(scenario) + 1):
         run.loop.moved()
 

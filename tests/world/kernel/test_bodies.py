@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.trace import HEADING, X, Y
 from pytest_pafot.world import Highway
-from pytest_pafot.world.kernel.bodies import Box, overlap, separation, side_hit
+from pytest_pafot.world.kernel.lanes import Box, overlap, separation, side_hit
 from tests.helpers import polygons
 from tests.helpers.tables import table
 from tests.helpers.world_cases import random_scenario

@@ -11,7 +11,7 @@ from pytest_pafot import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.algorithms import sample
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.world import kernel
-from pytest_pafot.world.kernel import bodies
+from pytest_pafot.world.kernel import lanes
 from tests.helpers.interpreted import InterpretedWorld
 from tests.helpers.road_cases import space_of, world_of
 from tests.helpers.run_cases import Case, digest
@@ -58,7 +58,7 @@ def test_the_kernel_knows_highway_envs_vehicles():
     from pytest_pafot.model.vehicle_type import CAR
 
     assert (CAR.length, CAR.width) == (Vehicle.LENGTH, Vehicle.WIDTH)
-    body = bodies.Body(5.0, 2.0)
+    body = lanes.Body(5.0, 2.0)
     body.place(0.0, 0.0, 0.0, Vehicle.MAX_SPEED + 1)
     body.acceleration = 3.0
     body.step(0.1)

@@ -20,9 +20,8 @@ from pytest_pafot import (
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG
 from pytest_pafot.world import AdsFactoryError, from_dict
-from pytest_pafot.world.kernel.bodies import COLUMNS, Body
+from pytest_pafot.world.kernel.lanes import COLUMNS, Body, Places
 from pytest_pafot.world.kernel.observation import RoadSensor
-from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.roads.network import STEP
 from tests.helpers.refusals import refused
 from tests.helpers.tables import table
@@ -68,8 +67,8 @@ def sensor_on(*npcs, ways, sight=None):
         places.see(rows, tick * len(states) * COLUMNS)
     zones = [None if way is None else JUNCTION.ways[way].way.zone for way in ways]
     common = road.lane_count, road.lane_width, road.speed_limit, road.end
-    leaning, seen = [road.bends] * len(states), None if sight is None else (sight, 7)
-    return RoadSensor(places, rows, road.bends, leaning, zones, common, 15, 3, seen)
+    leaning = [road.bends] * len(states)
+    return RoadSensor(places, rows, road.bends, leaning, zones, common, 15, 3, sight, 7)
 
 
 EGO_ENTERS, ENTERS = FROM_THE_RIGHT.way.zone.ego[0], FROM_THE_RIGHT.way.zone.npc[0]

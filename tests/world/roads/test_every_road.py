@@ -247,7 +247,7 @@ def test_headway_is_measured_along_the_road_in_bends():
     trace = world.rollout(hold(world, 2, speed=10.0), constant)
     chord = 2 * 46 * math.sin(25 / 46 / 2)
     assert np.hypot(*(trace.npcs[0, 0, :2] - trace.ego[0, :2])) == pytest.approx(chord, abs=0.02)
-    assert criticality.Encounters(trace).ahead[0, 0] == pytest.approx(25, abs=0.05)
+    assert trace.road.ahead[0, 0] == pytest.approx(25, abs=0.05)
     assert criticality.longitudinal_gap(trace)[0, 0] == pytest.approx(20, abs=0.15)
 
 

@@ -12,9 +12,8 @@ from pytest_pafot import Highway, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, SPEED
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world import codec
-from pytest_pafot.world.kernel.bodies import COLUMNS
+from pytest_pafot.world.kernel.lanes import COLUMNS, Places
 from pytest_pafot.world.kernel.observation import Observer, Sensor
-from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.roads.road import StraightRoad
 from tests.helpers.tables import table
 
