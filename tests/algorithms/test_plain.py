@@ -25,6 +25,7 @@ from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError
 from tests.findings.builders import findings, plain_finding
 from tests.helpers.hostile import CHARACTERS
+from tests.helpers.refusals import refused
 from tests.helpers.tables import table
 
 texts, counts = st.text(CHARACTERS, max_size=8), st.integers(0, 2**40)
@@ -100,38 +101,38 @@ class Steps:
 
 
 def test_custom_dataclass_is_stored_without_untyped_fields():
-    assert from_plain(Steps, plain(Steps(0.5, 3, {"a": (Cell.FRONT,)}, model=object()))) == Steps(
-        0.5, 3, {"a": (Cell.FRONT,)}
-    )
+    stored = plain(Steps(0.5, 3, {"a": (Cell.FRONT,)}, model=object()))
+    assert from_plain(Steps, stored) == Steps(0.5, 3, {"a": (Cell.FRONT,)})
 
 
 def test_what_json_cannot_hold_is_refused():
-    with pytest.raises(ValueError, match=r"expected a value that JSON can store.*received <object"):
+    with pytest.raises(ValueError, match="JSON"):
         plain([object()])
 
 
-@table(("kind", "data", "place", "expected"), [
-    (float, "fast", "", "a number"),
-    (float, True, "", "a number"),
-    (int, 1.0, "", "a whole number"),
-    (int, True, "", "a whole number"),
-    (bool, 1, "", "true or false"),
-    (Outcome, "flew", "", "one of safe"),
-    (Outcome, ["safe"], "", "one of safe"),
-    (tuple[int, ...], {"0": 1}, "", "a list"),
-    (tuple[int, ...], [1, None], "[1]", "a whole number"),
-    (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]", "a list of 2"),
-    (Steps, [0.5, 3], "", "a list of 3"),
-    (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
-    (Evaluation, plain([None]) * 17, "[0]", "a scenario"),
-    (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 17, "[0].speed", "a non-negative multiple of 0.1 m/s"),
-    (Collision | None, [], "", "a list of 8"),
-])  # fmt: skip
-def test_wrong_data_is_refused_with_its_place(kind, data, place, expected):
-    with pytest.raises(FieldError) as caught:
+WRONG_DATA = [
+    (float, "fast", ""),
+    (float, True, ""),
+    (int, 1.0, ""),
+    (int, True, ""),
+    (bool, 1, ""),
+    (Outcome, "flew", ""),
+    (Outcome, ["safe"], ""),
+    (tuple[int, ...], {"0": 1}, ""),
+    (tuple[int, ...], [1, None], "[1]"),
+    (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]"),
+    (Steps, [0.5, 3], ""),
+    (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]"),
+    (Evaluation, plain([None]) * 17, "[0]"),
+    (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 17, "[0].speed"),
+    (Collision | None, [], ""),
+]
+
+
+@table(("kind", "data", "place"), WRONG_DATA)
+def test_wrong_data_is_refused_with_its_place(kind, data, place):
+    with refused(place, FieldError):
         from_plain(kind, data)
-    assert caught.value.field == place
-    assert caught.value.expected.startswith(expected)
 
 
 @table(("text", "number"), [("inf", math.inf), ("-inf", -math.inf), ("nan", math.nan)])
