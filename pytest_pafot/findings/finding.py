@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
 from itertools import islice
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import Any
 
 from pytest_pafot.attribution.responsibility import (
@@ -34,6 +34,7 @@ from pytest_pafot.findings.situation import (
 from pytest_pafot.findings.verdict import (
     AT_ZONES,
     CHECK_FAILED,
+    IN_MEMORY,
     PROCESS_CRASH,
     Failure,
     Severity,
@@ -276,10 +277,6 @@ class Found:
     policy: str | None = None
     worst_closing_speed: float | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
-
-
-# The metadata of fields that are not stored (see :mod:`pytest_pafot.algorithms.plain`).
-IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,6 +26,9 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome, Side
 from pytest_pafot.oracle.run import Check, CheckFailed, Run
 
+# The metadata of fields that are not stored (see :mod:`pytest_pafot.algorithms.plain`).
+IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
+
 MAX_ASSERTION = 200
 MAX_SLUG = 32
 NUMBER = "N"
@@ -388,16 +391,15 @@ class Verdict:
     # ``invalid`` is a run that shows nothing about the ego, for example because two NPCs collided, or because the run
     # of the reference is invalid.
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
-    exception: BaseException | None = None  # the exception of the function, if it failed or skipped
-    failure: Failure | None = None
+    # the exception of the function, if it failed or skipped
+    exception: BaseException | None = field(default=None, metadata=IN_MEMORY)
+    failure: Failure | None = field(default=None, metadata=IN_MEMORY)
     # the checks that the function made, in order, up to one that failed
-    checks: tuple[Check, ...] = ()
+    checks: tuple[Check, ...] = field(default=(), metadata=IN_MEMORY)
     is_timed: bool = False  # True if it depends on wall-clock time
     is_ads: bool = False  # True if the ADS itself failed, regardless of what the function asserts
     # severity of the failure; None if there is none, or if nothing measures it
     severity: Severity | None = None
-    # verdict on the reference in the same scenario; None if it was not run
-    reference: Verdict | None = None
 
     @property
     def failed(self) -> bool:
@@ -425,15 +427,9 @@ class Verdict:
             worst[each.name] = min(each.margin, worst.get(each.name, math.inf))
         return tuple(sorted(worst.items()))
 
-    @property
-    def worsening(self) -> str:
-        """A description of the increase in severity over the reference's failure, or an empty string."""
-        return "" if self.reference is None else worsening(self.severity, self.reference.severity)
-
     def beside(self, reference: Verdict) -> Self:
         """Return this verdict, adjusted for the verdict on a run of the reference."""
         # A failure counts only if the reference passes. If the run of the reference is invalid, that is unknown.
-        without: Literal["invalid", "common"] = (
-            "invalid" if reference.kind == "invalid" else "common"
-        )
-        return replace(self, kind="failed" if reference.passes else without, reference=reference)
+        if reference.passes:
+            return replace(self, kind="failed")
+        return replace(self, kind="invalid" if reference.kind == "invalid" else "common")

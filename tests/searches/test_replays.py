@@ -9,13 +9,14 @@ import pytest
 
 from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.findings.finding import Expect, signature_of_failure
+from pytest_pafot.findings.sighting import Finished, Shows
 from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searches.replays import Replays
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world import Highway
-from tests.findings.builders import plain_finding
+from tests.findings.builders import plain_finding, tried
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
 FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
@@ -43,15 +44,18 @@ class Told(Replays):
         if saved.finding is None:
             raise RequestError(saved.error)
         longer = f"{saved.id}+"
-        return self.harness.ends[
+        run, verdict, *_ = self.harness.ends[
             longer if world.lasts and longer in self.harness.ends else saved.id
-        ][:2]
+        ]
+        return Finished(run=run, verdict=verdict)
 
-    def _compared(self, saved, world, owner, now, sought=None):
-        assert (sought is None) == self.harness.ends[saved.id][1].failed, (
+    def _compared(self, saved, world, owner, now, sought):
+        assert bool(sought) != self.harness.ends[saved.id][1].failed, (
             "the reference is driven on if the ADS was"
         )
-        return replace(now, reference_passes=(*self.harness.ends[saved.id], None)[2])
+        (_, _, *passes) = self.harness.ends[saved.id]
+        theirs = [tried(Shows.HANDLED if each else Shows.OTHER) for each in passes]
+        return replace(now, reference=tuple(theirs))
 
 
 def harness_of(ends):
@@ -59,7 +63,13 @@ def harness_of(ends):
         SimpleNamespace(settings=SimpleNamespace(isolate=True)),
         SimpleNamespace(sight=None),
     )
-    same = {"saved_node_id": str, "judge": lambda run: PASSED, "versions": {}, "policy": own}
+    same = {
+        "saved_node_id": str,
+        "judge": lambda run: PASSED,
+        "versions": {},
+        "policy": own,
+        "against_name": "",
+    }
     return SimpleNamespace(ends=ends, request=request, world=plain_finding().world, **same)
 
 
