@@ -521,27 +521,27 @@ def note_on(finding: Finding, now: Replay) -> str:
 
 
 def _note_past_end(finding: Finding, now: Replay) -> str:
-    first, *others = now.tries
     # A death up to the end of the file is all that matters.
     if isinstance(now.ran, Died) and now.shown.which is not Which.CONTINUED:
         return ""
-    for each in others:
+    first = now.tries[0].ended
+    for each in now.second:
+        match each:
+            case Try(shows=Shows.SAME, repeats=True, ended=Finished() as ended):
+                return f"the same failure occurs {PAST_END}: {_event_in(finding, ended)}"
+            case Try(shows=Shows.ONLY_NOTED, ended=Finished() as ended):
+                return f"a different failure occurs {PAST_END}: {_event_in(finding, ended)}"
+            case Try(ended=Finished(run=run, verdict=verdict)):
+                if isinstance(first, Finished) and _hits_soon(finding, first.run, run):
+                    how = headline(run, verdict)
+                    return f"the same NPC still collides with the ego {PAST_END} ({how})"
+    for each in now.tries:
         match each:
             case Try(which=Which.CONTINUED, ended=NotMade()):
                 because = "a process died there before, and this system cannot fork"
                 return f"it was not run {PAST_END}, because {because}"
             case Try(which=Which.CONTINUED, ended=Died(end=end)):
                 return f"the process {end} {PAST_END}"
-            case Try(
-                shows=Shows.SAME, repeats=True, ended=Finished() as ended, which=Which.CONTINUED
-            ):
-                return f"the same failure occurs {PAST_END}: {_event_in(finding, ended)}"
-            case Try(shows=Shows.ONLY_NOTED, ended=Finished() as ended):
-                return f"a different failure occurs {PAST_END}: {_event_in(finding, ended)}"
-            case Try(which=Which.CONTINUED, ended=Finished(run=run, verdict=verdict)):
-                if isinstance(first.ended, Finished) and _hits_soon(finding, first.ended.run, run):
-                    how = headline(run, verdict)
-                    return f"the same NPC still collides with the ego {PAST_END} ({how})"
     return ""
 
 
