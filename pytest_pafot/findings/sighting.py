@@ -105,7 +105,7 @@ class Shows(StrEnum):
     NOTHING = "nothing that concerns the file"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Try:
     """One run of a replay, and what it shows."""
 
@@ -127,7 +127,9 @@ class Try:
     @property
     def severity(self) -> Severity | None:
         """The severity of the failure; None if the run passes, or if nothing measures it."""
-        return self.ended.verdict.severity if isinstance(self.ended, Judged) else None
+        if isinstance(self.ended, Judged):
+            return self.ended.verdict.severity
+        return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,7 +183,9 @@ class Replay:
     """The runs of a saved scenario in this session, and the other facts that its label depends on."""
 
     tries: tuple[Try, ...] = ()  # of the tested policy, in the order in which they were made
-    reference: tuple[Try, ...] = ()  # of the reference, in the same scenario
+    reference: tuple[
+        Try, ...
+    ] = ()  # of the reference, in the same scenario; none if they are invalid
     against: str = ""  # the reference, or empty
     is_flaky: bool = False  # the file says that its runs differ
     # The file's failure occurs by chance, and so rarely that ten passing runs do not show a fix.
@@ -272,9 +276,9 @@ class Replay:
     @property
     def reference_passes(self) -> bool | None:
         """Whether the reference passes the same scenario; None without a valid run of it."""
-        if any(each.fails for each in self.reference):
-            return False
-        return True if any(each.shows is Shows.HANDLED for each in self.reference) else None
+        if not self.reference:
+            return None
+        return not any(each.fails for each in self.reference)
 
     @property
     def before(self) -> Severity | None:
@@ -348,15 +352,14 @@ class Alike:
     least: Severity | None = None  # severity of the mildest run, or None
 
     def __add__(self, other: Alike) -> Alike:
-        # The other runs come after these.
-        is_worse = other.severity is not None and (
-            self.severity is None or self.severity < other.severity
-        )
-        worst, least = (
-            other if is_worse else self,
-            min(filter(None, [self.least, other.least]), default=None),
-        )
-        return replace(worst, runs=self.runs + other.runs, least=least)
+        worst, runs = self, self.runs + other.runs
+        # The other runs come after these, so an equally severe one is not the worst.
+        if other.severity is not None and (
+            worst.severity is None or worst.severity < other.severity
+        ):
+            worst = other
+        least = min(filter(None, [self.least, other.least]), default=None)
+        return replace(worst, runs=runs, least=least)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -525,7 +528,9 @@ class Seen:
     def worst(self) -> str:
         """A note on the worst other run with this failure, or an empty string."""
         worst, own = self.alike.severity, self.severity
-        if worst is None or (own is not None and (not own < worst or worst.figure == own.figure)):
+        # A difference that the figures do not show is not worth a note.
+        is_worse = own is None or worst is None or (own < worst and own.figure != worst.figure)
+        if worst is None or not is_worse:
             return ""
         return f"the worst one {worst}"
 
@@ -535,13 +540,19 @@ class Seen:
         worst, least = self.alike.severity or self.severity, self.alike.least or self.severity
         if worst is None or least is None or None in (worst.value, least.value):
             return ""
-        low = f"{least.figure} to " if least.figure != worst.figure else ""
-        how = "closing at" if worst.kind == "collision" else "violating the bound by"
-        return f", {how} {low}{worst.figure} {worst.unit}".rstrip()
+        figures, how = worst.figure, "violating the bound by"
+        if least.figure != worst.figure:
+            figures = f"{least.figure} to {figures}"
+        if worst.kind == "collision":
+            how = "closing at"
+        return f", {how} {figures} {worst.unit}".rstrip()
 
     @property
     def remark(self) -> str:
         """Notes on the finding, such as its failure rate."""
-        flaky = f"flaky: {self.finding.flaky}" if self.is_flaky else ""
-        timed = "the result depends on wall-clock time" if self.is_timed else ""
-        return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk]))
+        notes = [self.finding.on_rate]
+        if self.is_flaky:
+            notes.insert(0, f"flaky: {self.finding.flaky}")
+        if self.is_timed:
+            notes.append("the result depends on wall-clock time")
+        return "; ".join(filter(None, [*notes, self.unshrunk]))

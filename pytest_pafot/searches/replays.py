@@ -207,22 +207,26 @@ class Replays:
         # If the runs differ by chance, a comparison with the reference would show chance, too.
         if now.is_unsteady:
             return now
-        if isinstance(now.ran, Finished) and now.ran.verdict.discarded:
-            return now
         # The comparison shows whether a failure is new with the policy, and whether the reference fails where the
         # policy passes.
-        if not now.fails:
-            return self._compared(saved, world, owner, now, [_finding(saved).signature])
-        # A process that died left no run, so there is no failure to look for past the end of the file.
-        sought = [] if isinstance(now.ran, Died) else _failures_of(now)
-        return self._compared(saved, world, owner, now, sought)
+        match now.ran:
+            case Died():
+                # There is no run, and so no failure to look for past the end of the file.
+                return self._compared(saved, world, owner, now, [])
+            case Finished(verdict=verdict) if verdict.discarded:
+                return now
+            case Finished():
+                sought = _failures_of(now) or [_finding(saved).signature]
+                return self._compared(saved, world, owner, now, sought)
+            case _:
+                assert_never(now.ran)
 
     def _driven(self, saved: Saved, world: BaseWorld, owner: str) -> Replay:
         # Run a saved scenario, without the reference, and note whether the file accepts the failure.
         __tracebackhide__ = True
         harness, finding = self.harness, _finding(saved)
         # The versions of packages affect positions, on which the death of a process does not depend.
-        versions = [] if finding.expect.is_crash else version_changes(harness, finding)
+        versions = () if finding.expect.is_crash else version_changes(harness, finding)
         is_elsewhere = versions or world_changes(harness, finding) or sight_change(harness, finding)
         now = Replay(
             tries=tuple(self._tries(saved, world, owner)),
@@ -259,7 +263,7 @@ class Replays:
             if not isinstance(second, Finished):
                 is_saved_failure = isinstance(second, Died) and _is_saved_death(finding, second)
                 shows = Shows.SAME if is_saved_failure else Shows.ONLY_NOTED
-                yield Try(which=which, ended=second, shows=shows)
+                yield Try(which, second, shows)
                 if is_saved_failure:
                     return
                 # It remains to be seen whether the policy repeats the run up to the end of the file.
@@ -276,7 +280,7 @@ class Replays:
                 if isinstance(third, Finished) and third.verdict.failed:
                     is_firm = is_same_run(second.run, third.run)
                 confirming = Which.CONTINUED_AGAIN
-                yield Try(which=confirming, ended=third, shows=Shows.NOTHING, repeats=is_firm)
+                yield Try(confirming, third, Shows.NOTHING, repeats=is_firm)
 
         # Run the scenario of a file with a rate ten more times: with other seeds, or with the same one if the file is
         # flaky. The replay fails if any of these runs does. If none does, it passes, but that shows nothing if the
@@ -317,9 +321,9 @@ class Replays:
             case NotMade() | Finished(verdict=Verdict(kind="invalid")):
                 return now  # Nothing is known about the reference.
             case Finished(run=run, verdict=verdict) if verdict.passes:
-                tries = [Try(which=Which.AS_SAVED, ended=first, shows=Shows.HANDLED)]
+                tries = [Try(Which.AS_SAVED, first, Shows.HANDLED)]
             case Finished() | Died():
-                failed = Try(which=Which.AS_SAVED, ended=first, shows=Shows.OTHER)
+                failed = Try(Which.AS_SAVED, first, Shows.OTHER)
                 return replace(now, reference=(failed,))
             case _:
                 assert_never(first)
@@ -332,7 +336,7 @@ class Replays:
                     is_comparable = begins_alike(run, continued) and has_time(continued, failure)
                     if is_comparable and signature_of_failure(continued, failure) in sought:
                         shows = Shows.SAME
-            tries.append(Try(which=Which.CONTINUED, ended=later, shows=shows))
+            tries.append(Try(Which.CONTINUED, later, shows))
         return replace(now, reference=tuple(tries))
 
     def _of_reference(
@@ -387,18 +391,18 @@ def _compare_with_file(finding: Finding, which: Which, ended: Finished | Died) -
     match ended:
         case Died():
             is_same = _is_saved_death(finding, ended)
-        case Finished(run=run, verdict=Verdict(kind="failed", failure=failure)):
+        case Finished(run=run, verdict=Verdict(failure=Failure() as failure)):
             is_same = is_same_event(finding.expect, run, failure)
             # A failure that occurs by chance can occur at any time.
-            if finding.rate is not None and failure is not None:
+            if finding.rate is not None:
                 is_same = is_same_failure(finding, run, failure)
         case Finished(run=run, verdict=verdict):
-            is_handled = verdict.passes and handles(finding, run)
-            shows = Shows.HANDLED if is_handled else Shows.NOTHING
-            return Try(which=which, ended=ended, shows=shows)
+            if verdict.passes and handles(finding, run):
+                return Try(which, ended, Shows.HANDLED)
+            return Try(which, ended, Shows.NOTHING)
         case _:
             assert_never(ended)
-    return Try(which=which, ended=ended, shows=Shows.SAME if is_same else Shows.OTHER)
+    return Try(which, ended, Shows.SAME if is_same else Shows.OTHER)
 
 
 def _compare_with_pass(
@@ -410,14 +414,13 @@ def _compare_with_pass(
     is_alike, hits = begins_alike(first, run), _hits_soon(finding, first, run)
     shows = Shows.STILL_COLLIDES if hits else Shows.NOTHING
     if failure is None:
-        return Try(which=which, ended=second, shows=shows, repeats=is_alike)
+        return Try(which, second, shows, repeats=is_alike)
     # The failure occurred after the end of the file, unless the test function or a clock decides by chance.
     is_after = is_alike and run.trace.ticks > first.trace.ticks
     if not is_after or harness.judge(first).failed:
         # Only for a file with a rate does it matter which failure occurs by chance. Any other file is flaky.
-        is_other = finding.rate is not None and not is_same_failure(finding, run, failure)
-        shows = Shows.OTHER if is_other else Shows.SAME
-        return Try(which=which, ended=second, shows=shows, repeats=False)
+        is_same = finding.rate is None or is_same_failure(finding, run, failure)
+        return Try(which, second, Shows.SAME if is_same else Shows.OTHER, repeats=False)
     # A value of the whole run, such as the distance driven, cannot be evaluated in a longer run.
     if has_time(run, failure):
         if is_same_failure(finding, run, failure):
@@ -425,7 +428,7 @@ def _compare_with_pass(
         # The collision with the same NPC concerns the file more than a different failure.
         elif not hits:
             shows = Shows.ONLY_NOTED
-    return Try(which=which, ended=second, shows=shows)
+    return Try(which, second, shows)
 
 
 def _hits_soon(finding: Finding, run: Run, longer: Run) -> bool:
@@ -465,9 +468,9 @@ def _acceptance(harness: Harness, finding: Finding, now: Replay) -> Acceptance:
         case Finished(run=run, verdict=Verdict(failure=Failure() as failure)):
             same_versions = not version_changes(harness, finding)
             why = beyond_acceptance(finding, run, failure, same_versions=same_versions)
-            return Beyond(why=why) if why else "accepted"
-        case _:
-            return "accepted"
+            if why:
+                return Beyond(why=why)
+    return "accepted"
 
 
 def check_set_up(
@@ -607,17 +610,23 @@ def changes(harness: Harness, finding: Finding, now: str) -> str:
 def event_change(finding: Finding, now: str) -> str:
     """Describe the difference between a replay's event and the event in its file, if any."""
     expect = finding.expect
-    then = "a process crash" if expect.is_crash else _event(expect.outcome, expect.time)
     if expect.check is not None:
         then = f"{expect.assertion} failed at {expect.time:.1f} s"
-    return "" if then == now else f"{now} instead of {then}"
+    elif expect.is_crash:
+        then = "a process crash"
+    else:
+        then = _event(expect.outcome, expect.time)
+    if then == now:
+        return ""
+    return f"{now} instead of {then}"
 
 
 def describe_result(finding: Finding, run: Run, failure: Failure | None) -> str:
     """Describe a replay's result in the same form as the file describes the expected result."""
     if failure is not None and failure.check is not None:
-        text = f"{failure.check.name} failed"
-        return text if failure.check.time is None else f"{text} at {failure.check.time:.1f} s"
+        if failure.check.time is None:
+            return f"{failure.check.name} failed"
+        return f"{failure.check.name} failed at {failure.check.time:.1f} s"
     if finding.expect.check is not None and failure is not None:
         return failure.kind
     # Only the outcome of the file is worth a time if nothing happened at that time.
