@@ -219,6 +219,7 @@ class Replay:
             ValueError: if another process made that run.
         """
         ended = self.shown.ended
+        # A run that was not made shows nothing, so another run is shown instead.
         if isinstance(ended, Finished | Died):
             return ended
         raise ValueError(f"run: expected a run of this process, received {self!r:.100}")
@@ -231,11 +232,13 @@ class Replay:
     @property
     def is_same(self) -> bool:
         """True if it fails as the file states."""
+        # A third run, which only confirms the second one, never shows a failure by itself.
         return self.fails and self.shown.shows is Shows.SAME
 
     @property
     def second(self) -> list[Try]:
         """The finished run that repeats or continues a pass, if there is one."""
+        # If the process of the continued run died, a run to the end of the file takes its place.
         again = (Which.CONTINUED, Which.AS_SAVED_AGAIN)
         return [each for each in self.tries if each.which in again and each.is_judged]
 
@@ -249,7 +252,7 @@ class Replay:
         """How often it fails now; None unless the file has a rate, and no process died."""
         repeated = [each for each in self.tries if each.which is Which.REPEATED and each.is_judged]
         if len(repeated) < RUNS:
-            return None
+            return None  # A part of the runs would be a different sample than the file's.
         return FailureRate(failing=sum(each.fails for each in repeated))
 
     @property
@@ -278,6 +281,7 @@ class Replay:
         """Whether the reference passes the same scenario; None without a valid run of it."""
         if not self.reference:
             return None
+        # The continued run decides only if it shows the failure that the comparison is about.
         return not any(each.fails for each in self.reference)
 
     @property
@@ -469,6 +473,7 @@ class Seen:
         # If a finding is flaky for any other reason, equal seeds give equal runs here, so no rate can be measured.
         if self.is_timed or self.finding.expect.is_crash:
             return False
+        # A measured rate settles it, even if the runs of a flaky finding differ for another reason.
         if self.finding.flaky is not None and self.finding.rate is None:
             return self.finding.flaky.startswith((NOT_REPEATED, ENDED_OTHERWISE))
         has_drawn = isinstance(self.observed, Discovery) and self.observed.has_drawn
@@ -482,6 +487,7 @@ class Seen:
     @property
     def result(self) -> str:
         """The label for summaries, which report only facts: ``passed (not found again)`` instead of ``fixed``."""
+        # Whether a pass is a fix is the reader's conclusion.
         match self.label:
             case "passes":
                 return "passed"
@@ -496,12 +502,14 @@ class Seen:
     def compared(self) -> Literal["", "introduced", "common", "fixed"]:
         """The result of comparing a replay with the reference, or an empty string."""
         now = self.replay
+        # If the runs differ by chance, so would the comparison.
         if now.reference_passes is None or now.is_unsteady:
             return ""
         if now.reference_passes:
             return "introduced" if now.fails else ""
         if now.fails:
             return "common"
+        # A pass in which the situation did not occur is no fix, whatever the reference does.
         return "" if self.label == "drifted" else "fixed"
 
     @property

@@ -134,7 +134,8 @@ class Replays:
                 except (ExecutionError, ScenarioError):
                     raise
                 except Exception as error:
-                    # With --pafot-isolate, the user expects errors of the separate process.
+                    # With --pafot-isolate, the user has chosen a separate process. Otherwise, the error needs the
+                    # reason why there is one.
                     if harness.request.settings.isolate:
                         raise
                     raise ExecutionError(
