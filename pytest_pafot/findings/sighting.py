@@ -183,9 +183,8 @@ class Replay:
     """The runs of a saved scenario in this session, and the other facts that its label depends on."""
 
     tries: tuple[Try, ...] = ()  # of the tested policy, in the order in which they were made
-    reference: tuple[
-        Try, ...
-    ] = ()  # of the reference, in the same scenario; none if they are invalid
+    # of the reference in the same scenario; empty without a reference, or if its run is invalid
+    reference: tuple[Try, ...] = ()
     against: str = ""  # the reference, or empty
     is_flaky: bool = False  # the file says that its runs differ
     # The file's failure occurs by chance, and so rarely that ten passing runs do not show a fix.
@@ -209,7 +208,9 @@ class Replay:
         for each in failing:
             if each.shows is Shows.SAME:
                 return each
-        return [self.tries[0], *failing][-1]
+        if failing:
+            return failing[-1]
+        return self.tries[0]
 
     @property
     def ran(self) -> Finished | Died:
@@ -289,7 +290,7 @@ class Replay:
         """The severity with the reference; None unless both policies fail."""
         # Past the end of the file, the reference is run only after a pass, so at most one of its runs fails.
         for each in self.reference:
-            if each.fails and self.fails:
+            if self.fails and each.fails:
                 return each.severity
         return None
 
