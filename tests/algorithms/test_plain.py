@@ -16,17 +16,33 @@ from pytest_pafot.algorithms.evaluation import Evaluation, Health
 from pytest_pafot.algorithms.plain import from_plain, plain
 from pytest_pafot.attribution.responsibility import Fault, Manoeuvre, Mistake, Responsibility
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.sighting import Observed, Seen
-from pytest_pafot.findings.verdict import Signature, Verdict
+from pytest_pafot.findings.sighting import (
+    Beyond,
+    Died,
+    Discovery,
+    Finished,
+    FoundElsewhere,
+    Judged,
+    NotFound,
+    NotMade,
+    NotSearched,
+    Replay,
+    Seen,
+    Shows,
+    Which,
+)
+from pytest_pafot.findings.verdict import Severity, Signature, Verdict
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Collision, Outcome, Side
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.item import packed
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError
-from tests.findings.builders import findings, plain_finding
+from tests.findings.builders import findings, plain_finding, tried
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.refusals import refused
 from tests.helpers.tables import table
+from tests.helpers.traces import trace_of, vehicle
 
 texts, counts = st.text(CHARACTERS, max_size=8), st.integers(0, 2**40)
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -143,13 +159,39 @@ def test_infinite_and_nan_numbers_are_stored_as_text(text, number):
 
 @given(findings(), texts)
 def test_a_sighting_is_read_as_it_was_sent_without_what_stays_in_its_process(finding, text):
-    observed = Observed(new="new", sentences=(text,))
-    seen = Seen(finding=replace(finding, trace=None), node_id=text, observed=observed)
-    died = Verdict(kind="failed", exception=ValueError(text))
-    sent = packed(replace(seen, observed=replace(observed, verdict=died)))
+    observed = Discovery(ended=Judged(verdict=Verdict(kind="failed")))
+    made = replace(finding, trace=None)
+    seen = Seen(finding=made, node_id=text, sentences=(text,), observed=observed)
+    raised = Verdict(kind="failed", exception=ValueError(text))
+    sent = packed(seen.with_observed(ended=Judged(verdict=raised)))
     assert from_plain(Seen, json.loads(sent)) == seen
     assert sent.isascii()
-    assert from_plain(Seen, json.loads(sent)).observed.verdict is None
+    assert from_plain(Seen, json.loads(sent)).observed.ended.verdict.exception is None
+
+
+@table("acceptance", ["not accepted", "accepted", Beyond(why="NPC 1 hits the ego")])
+@table("search", [NotSearched(), NotFound(runs=40, drawn=30), FoundElsewhere(id="hit-2")])
+def test_a_replay_is_read_as_it_was_sent_without_its_runs(acceptance, search):
+    run = Run(trace_of(vehicle(0.0, speed=20.0, ticks=3)))
+    hits = Verdict(kind="failed", severity=Severity(kind="collision", value=8.2, unit="m/s"))
+    died = Died(end="was ended by SIGSEGV", pid=7)
+    sent, read = (
+        Replay(
+            tries=(
+                tried(Shows.HANDLED),
+                tried(Shows.ONLY_NOTED, Which.CONTINUED, ended=died),
+                tried(Shows.SAME, Which.AS_SAVED_AGAIN, ended=first, repeats=False),
+            ),
+            reference=(tried(Shows.ONLY_NOTED, Which.CONTINUED, ended=NotMade()),),
+            acceptance=acceptance,
+            search=search,
+        )
+        for first in (Finished(verdict=hits, run=run), Judged(verdict=hits))
+    )
+    assert from_plain(Replay, json.loads(packed(sent))) == read
+    assert sent.ran.run is run
+    with pytest.raises(ValueError, match="expected a run of this process"):
+        read.ran  # noqa: B018
 
 
 def test_a_day_and_a_mapping_are_read_strictly():
