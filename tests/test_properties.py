@@ -60,7 +60,7 @@ def test_no_fault_fails_if_the_ego_is_responsible(situation):
     if situation.responsibility in ("npc", "none"):
         properties.no_fault(run)
     else:
-        with pytest.raises(AssertionError, match=r"The ego is responsible|are both responsible"):
+        with pytest.raises(AssertionError, match="responsible"):
             properties.no_fault(run)
 
 
@@ -315,18 +315,18 @@ def test_careful_driver_satisfies_all_properties_in_ordinary_traffic():
     assert quiet > 5
 
 
-@table("argument", ["jerk", "braking", "lateral_acceleration", "lateral_jerk"])
+COMFORT = ("jerk", "braking", "lateral_acceleration", "lateral_jerk")
+
+
+@table("argument", COMFORT)
 def test_comfort_refuses_negative_or_non_finite_arguments(argument):
     for odd in (-1.0, np.nan, np.inf, "2", True):
-        told = f"expected {argument} to be a finite number, at least 0, received {odd!r}"
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=rf" {argument} .* {odd!r}"):
             properties.comfort(pafot.Run(following(100.0)), **{argument: odd})
 
 
 def test_rules_of_another_kind_are_refused():
-    with pytest.raises(
-        TypeError, match=r"expected rules=criticality.RssRules\(\.\.\.\), received 2\.0"
-    ):
+    with pytest.raises(TypeError, match="rules="):
         properties.rss_distance(pafot.Run(following(100.0)), rules=2.0)
 
 

@@ -27,8 +27,8 @@ from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.algorithms import sample  # noqa: E402
 from pytest_pafot.attribution.responsibility import rss_rule  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
-from pytest_pafot.findings.sighting import Observed, Seen  # noqa: E402
-from pytest_pafot.findings.verdict import Failure  # noqa: E402
+from pytest_pafot.findings.sighting import Discovery, Finished, Seen  # noqa: E402
+from pytest_pafot.findings.verdict import Failure, Verdict  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
 from pytest_pafot.report.views import finding_view  # noqa: E402
 from tests.helpers.road_cases import space_of  # noqa: E402
@@ -93,7 +93,8 @@ def picture(env_id: str) -> Image.Image:
     finding = Finding.from_run(
         Run(trace), failure, test="test", world=world.to_dict(), found=origin
     )
-    view = finding_view(Seen(finding=finding, node_id="", observed=Observed(run=Run(trace))))
+    shown = Discovery(ended=Finished(run=Run(trace), verdict=Verdict(kind="failed")))
+    view = finding_view(Seen(finding=finding, node_id="", observed=shown))
     print(f"{env_id}: {view['headline']}, responsible: {finding.expect.responsibility}")
     moment = trace.duration - BEFORE_IMPACT
     named = json.loads(json.dumps(view), object_hook=lambda part: SimpleNamespace(**part))

@@ -17,8 +17,7 @@ from itertools import repeat
 from types import MappingProxyType
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from pytest_pafot.findings.finding import IN_MEMORY
-from pytest_pafot.findings.verdict import Signature
+from pytest_pafot.findings.verdict import IN_MEMORY, Signature
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import FieldError

@@ -73,19 +73,24 @@ class Moment:
         if self.reference:
             first = f"{at} in the first decision that differs, the policy chose {self.action}"
             return f"{first}, and the reference chose {self.reference}."
-        saw = f"saw NPC {self.npc} ({self.seen}) and " if self.seen else ""
-        was = f"NPC {self.npc} was {self.was}, and " if self.was else ""
-        otherwise = f"; with NPC {self.npc} {self.otherwise}" if self.otherwise else ""
-        return f"{at} {was}the policy {saw}chose {self.action}{otherwise}."
+        line = f"the policy chose {self.action}"
+        if self.seen:
+            line = f"the policy saw NPC {self.npc} ({self.seen}) and chose {self.action}"
+        if self.was:
+            line = f"NPC {self.npc} was {self.was}, and {line}"
+        if self.otherwise:
+            line += f"; with NPC {self.npc} {self.otherwise}"
+        return f"{at} {line}."
 
     def condition_lines(self) -> list[str]:
         # The rows of the conditions, below the vehicle that they are about.
-        lines = []
+        lines: list[str] = []
         for whom, rows in self.conditions:
-            lines += [
-                *([f"{whom}:"] if whom else []),
-                *(f"{'  ' if whom else ''}{row}" for row in rows),
-            ]
+            indent = ""
+            if whom:
+                lines.append(f"{whom}:")
+                indent = "  "
+            lines += [f"{indent}{row}" for row in rows]
         return lines
 
 
@@ -97,38 +102,44 @@ def vehicle_of(run: Run, expect: Expect) -> int | None:
         return expect.npc
     # The check names no NPC, so take the nearest one.
     tick = min(round(expect.time * run.trace.physics_hz), run.trace.ticks)
-    away = np.hypot(*(run.trace.states[tick, 1:, [X, Y]] - run.trace.ego[tick, [X, Y], None]))
-    return None if np.isnan(away).all() or not away.size else int(np.nanargmin(away))
+    aside = run.trace.states[tick, 1:, [X, Y]] - run.trace.ego[tick, [X, Y], None]
+    away = np.hypot(*aside)
+    if np.isnan(away).all():  # or there is no NPC
+        return None
+    return int(np.nanargmin(away))
 
 
 def deciding(run: Run, expect: Expect) -> int | None:
     """Return the index of the last decision that could have avoided a failure, or None."""
     trace, attribution = run.trace, run.attribution
-    ticks, hz = trace.decision_ticks, trace.physics_hz
-
-    def at(time: float) -> int:
-        return max(bisect_right([tick / hz for tick in ticks], time + 1e-6) - 1, 0)
-
-    if not ticks:
+    if not trace.decision_ticks:
         return None
-    if run.collision is None or expect.check is not None:  # the last decision before a failed check
-        return None if expect.check is None else at(expect.time)
-    if (number := moved_over(run)) is not None:
-        return number
-    # The last decision at which a careful driver who takes over avoids the collision. If there is none, or if the ego
-    # braked for nothing, it is the decision at the time of the verdict.
-    if expect.takeover and attribution.fault not in NEEDLESS:
-        return at(expect.time - expect.takeover)
-    return at(attribution.time or 0.0) if attribution.fault else None
+    if expect.check is not None:
+        time = expect.time  # the last decision before a failed check
+    elif run.collision is None:
+        return None
+    else:
+        number = moved_over(run)
+        if number is not None:
+            return number
+        # The last decision at which a careful driver who takes over avoids the collision. If there is none, or if the
+        # ego braked for nothing, it is the decision at the time of the verdict.
+        time = attribution.time or 0.0
+        if expect.takeover and attribution.fault not in NEEDLESS:
+            time = expect.time - expect.takeover
+        elif not attribution.fault:
+            return None
+    times = [tick / trace.physics_hz for tick in trace.decision_ticks]
+    return max(bisect_right(times, time + 1e-6) - 1, 0)
 
 
 def moved_over(run: Run) -> int | None:
     """Return the index of the decision that started a lane change for which the ego is at fault, or None."""
-    trace, attribution = run.trace, run.attribution
-    if attribution.fault != "entered-lane" or not trace.decision_ticks:
+    trace, tick = run.trace, run.attribution.tick or 0
+    if run.attribution.fault != "entered-lane" or not trace.decision_ticks:
         return None
-    last = max(bisect_right(trace.decision_ticks, attribution.tick or 0) - 1, 0)
-    return _begun(trace, attribution.tick or 0, last)
+    last = max(bisect_right(trace.decision_ticks, tick) - 1, 0)
+    return _begun(trace, tick, last)
 
 
 def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
@@ -138,9 +149,11 @@ def sentences_of(run: Run, expect: Expect) -> tuple[str, ...]:
         return sentences
     # A verdict does not know the decisions, so its sentence states only when the ego crossed the line.
     began = f"{run.trace.decision_ticks[number] / run.trace.physics_hz:.1f} s"
-    is_drift = _drifted(run.trace, number, run.attribution.time or 0.0)
-    did = f"drifted from {began}" if is_drift else f"began to change lanes at {began}"
-    return (f"The ego {did} and {sentences[0].removeprefix('The ego ')}", *sentences[1:])
+    did = f"began to change lanes at {began}"
+    if _drifted(run.trace, number, run.attribution.time or 0.0):
+        did = f"drifted from {began}"
+    first, *others = sentences
+    return (f"The ego {did} and {first.removeprefix('The ego ')}", *others)
 
 
 def deed_of(run: Run, sentences: Sequence[str]) -> str:
@@ -148,7 +161,9 @@ def deed_of(run: Run, sentences: Sequence[str]) -> str:
     # a fixed object has only the last sentence
     if run.responsibility not in ("ego", "both") or len(sentences) < 2:
         return ""
-    return sentences[0 if run.attribution.fault in (*NEEDLESS, "entered-lane") else -2]
+    if run.attribution.fault in (*NEEDLESS, "entered-lane"):
+        return sentences[0]
+    return sentences[-2]
 
 
 def _drifted(trace: Trace, number: int, crossed: float) -> bool:
@@ -156,8 +171,12 @@ def _drifted(trace: Trace, number: int, crossed: float) -> bool:
     # drift.
     # `crossed` is the time at which the ego crosses the line [s].
     begin, end = trace.decision_ticks[number], round(crossed * trace.physics_hz)
-    lane = _lane_of(trace.actions[number], None) if number < len(trace.actions) else None
-    if lane not in (None, trace.ego[begin, LANE]) or end - begin < DRIFT_SECONDS * trace.physics_hz:
+    # The last decision of a run can have no action.
+    if number < len(trace.actions):
+        lane = _lane_of(trace.actions[number], None)
+        if lane not in (None, trace.ego[begin, LANE]):
+            return False
+    if end - begin < DRIFT_SECONDS * trace.physics_hz:
         return False
     return bool(abs(frame_of(trace).drift[0, begin + 1 : end + 1].mean()) < DRIFTING)
 
@@ -193,11 +212,12 @@ def seen_of(trace: Trace, npc: int, number: int) -> str:
     """Describe the position of an NPC relative to the ego at a decision."""
     ego, other = trace.states[trace.decision_ticks[number], [0, npc + 1]]
     turn = trace.road.direction_of_places(trace.decision_ticks[number])
-    (dx, dy), cos, sin = other[[X, Y]] - ego[[X, Y]], np.cos(turn), np.sin(turn)
-    boxes = [
-        (each[HEADING] - turn, *trace.sizes[index]) for each, index in ((ego, 0), (other, npc + 1))
-    ]
-    return placed(dx * cos + dy * sin, dy * cos - dx * sin, other[SPEED] - ego[SPEED], *boxes)
+    dx, dy = other[[X, Y]] - ego[[X, Y]]
+    cos, sin = np.cos(turn), np.sin(turn)
+    box = (ego[HEADING] - turn, *trace.sizes[0])
+    other_box = (other[HEADING] - turn, *trace.sizes[npc + 1])
+    faster = other[SPEED] - ego[SPEED]
+    return placed(dx * cos + dy * sin, dy * cos - dx * sin, faster, box, other_box)
 
 
 def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float, float]) -> str:
@@ -207,18 +227,19 @@ def placed(ahead: float, right: float, faster: float, *boxes: tuple[float, float
     gap = abs(ahead)
     for angle, length, width in boxes:
         gap -= (length * abs(np.cos(angle)) + width * abs(np.sin(angle))) / 2
-    words = [f"{gap:.1f} m {'ahead' if ahead >= 0 else 'behind'}" if gap > 0 else "next to the ego"]
-    words += (
-        [f"{abs(right):.1f} m to the {'right' if right > 0 else 'left'}"]
-        if abs(right) >= 0.05
-        else []
-    )
-    pace = (
-        f"{abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}"
-        if abs(faster) >= 0.05
-        else "equally fast"
-    )
-    return ", ".join([*words, pace])
+    place, side, pace = "next to the ego", "", "equally fast"
+    if gap > 0:
+        place = f"{gap:.1f} m ahead" if ahead >= 0 else f"{gap:.1f} m behind"
+    # Smaller values would be printed as 0.0.
+    if right >= 0.05:
+        side = f", {right:.1f} m to the right"
+    elif right <= -0.05:
+        side = f", {-right:.1f} m to the left"
+    if faster >= 0.05:
+        pace = f"{faster:.1f} m/s faster"
+    elif faster <= -0.05:
+        pace = f"{-faster:.1f} m/s slower"
+    return f"{place}{side}, {pace}"
 
 
 def differ(action: Any, other: Any) -> bool:
@@ -243,11 +264,9 @@ def _plain(action: Any) -> Any:
     if isinstance(action, tuple):
         return list(action)
     is_bare = repr(action) == object.__repr__(action)  # contains the address of the object
-    return (
-        vars(action)
-        if hasattr(action, "__dict__") and (is_bare or is_dataclass(action))
-        else action
-    )
+    if hasattr(action, "__dict__") and (is_bare or is_dataclass(action)):
+        return vars(action)
+    return action
 
 
 def text_of_any(action: Any) -> str:
@@ -256,12 +275,15 @@ def text_of_any(action: Any) -> str:
     if isinstance(plain, float):
         return f"{plain:.3g}"
     if isinstance(plain, list):
-        ends = "()" if isinstance(action, tuple) else "[]"
-        return f"{ends[0]}{', '.join(map(text_of_any, plain))}{ends[1]}"
+        parts = ", ".join(map(text_of_any, plain))
+        return f"({parts})" if isinstance(action, tuple) else f"[{parts}]"
     if isinstance(plain, dict):
+        values = {part: text_of_any(value) for part, value in plain.items()}
         if plain is action:
-            return f"{{{', '.join(f'{part!r}: {text_of_any(value)}' for part, value in plain.items())}}}"
-        return f"{type(action).__name__}({', '.join(f'{part}={text_of_any(value)}' for part, value in plain.items())})"
+            parts = ", ".join(f"{part!r}: {value}" for part, value in values.items())
+            return f"{{{parts}}}"
+        parts = ", ".join(f"{part}={value}" for part, value in values.items())
+        return f"{type(action).__name__}({parts})"
     return repr(plain)
 
 
@@ -271,7 +293,9 @@ def is_planners(action: Any) -> bool:
 
 
 def _lane_of(action: Any, otherwise: float | None) -> Any:
-    return action.lane if is_planners(action) and not is_si(action) else otherwise
+    if is_planners(action) and not is_si(action):
+        return action.lane
+    return otherwise
 
 
 def is_si(action: Any) -> bool:
@@ -294,14 +318,19 @@ def differing_parts(action: Any, other: Any) -> list[str]:
     """Return the names of the parts in which two actions differ."""
     parts = parts_of(action)
     if type(action) is not type(other) or is_si(action) is not is_si(other):
-        defaults = {} if is_si(action) else {field.name: field.default for field in fields(action)}
-        return [
-            name for name, value in parts.items() if name not in defaults or value != defaults[name]
-        ]
+        # A part that a LaneCommand leaves at its default does not count.
+        if not is_si(action):
+            for field in fields(action):
+                if parts[field.name] == field.default:
+                    del parts[field.name]
+        return list(parts)
     names = []
     for name, there in parts_of(other).items():
-        here, (least, _) = parts[name], PARTS.get(name, (0.0, ""))
-        is_number = isinstance(here, float) and isinstance(there, float)
-        if abs(here - there) >= least if is_number else here != there:
+        here = parts[name]
+        is_other = here != there
+        if isinstance(here, float) and isinstance(there, float):
+            least, _ = PARTS.get(name, (0.0, ""))
+            is_other = abs(here - there) >= least
+        if is_other:
             names.append(name)
     return names

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
 from itertools import islice
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import Any
 
 from pytest_pafot.attribution.responsibility import (
@@ -34,6 +34,7 @@ from pytest_pafot.findings.situation import (
 from pytest_pafot.findings.verdict import (
     AT_ZONES,
     CHECK_FAILED,
+    IN_MEMORY,
     PROCESS_CRASH,
     Failure,
     Severity,
@@ -159,37 +160,31 @@ class Expect:
     @property
     def signature(self) -> Signature:
         # The identity of the failure, as far as these fields determine it.
-        return Signature.from_facts(
-            **{part.name: getattr(self, part.name, None) for part in fields(Signature)}
-        )
+        facts = {part.name: getattr(self, part.name, None) for part in fields(Signature)}
+        return Signature.from_facts(**facts)
 
     @property
     def brief(self) -> str:
         """The failure in one line, such as the check with its value and bound."""
         if self.check is not None:
-            told = {name: value for name, value in asdict(self.check).items() if name != "value"}
-            value = math.nan if self.check.value is None else self.check.value
-            return str(
-                Check(
-                    name=self.assertion,
-                    value=value,
-                    margin=-1.0,
-                    time=self.time,
-                    npc=self.npc,
-                    **told,
-                )
-            )
-        if self.is_crash or self.message:
-            return f"{self.failure}: {self.message}" if self.message else self.failure
+            told = asdict(self.check) | {"time": self.time, "npc": self.npc}
+            if self.check.value is None:
+                told["value"] = math.nan
+            return str(Check(name=self.assertion, margin=-1.0, **told))
+        if self.message:
+            return f"{self.failure}: {self.message}"
+        if self.is_crash:
+            return self.failure
         if self.signature.is_property or self.outcome is Outcome.COMPLETED:
-            how = "fails" if self.failure == AssertionError.__name__ else f"raises {self.failure}"
-            return f"{self.assertion.removeprefix('assert ') or 'the test function'} {how}"
+            what = self.assertion.removeprefix("assert ") or "the test function"
+            if self.failure == AssertionError.__name__:
+                return f"{what} fails"
+            return f"{what} raises {self.failure}"
         if self.outcome is not Outcome.COLLISION:
             return f"{self.outcome} after {self.time:.1f} s"
-        whence = "" if self.zone is None else self.zone.partition(" ")[2]
-        return capitalised(
-            impact(self.time, self.npc, self.side, self.cell, whence, self.closing_speed)
-        )
+        whence = (self.zone or "").partition(" ")[2]
+        line = impact(self.time, self.npc, self.side, self.cell, whence, self.closing_speed)
+        return capitalised(line)
 
     def is_of(self, run: Run) -> bool:
         """Return whether a run contains this finding's collision, at the same time and with the same NPC."""
@@ -201,9 +196,8 @@ class Expect:
         told = run.sentences
         if self.takeover is None or not self.is_of(run):
             return told
-        return *told[:-1], responsible_sentence(
-            run.attribution.responsibility, self.npc, self.takeover
-        )
+        responsible = run.attribution.responsibility
+        return *told[:-1], responsible_sentence(responsible, self.npc, self.takeover)
 
     @classmethod
     def from_run(
@@ -217,42 +211,47 @@ class Expect:
     ) -> Expect:
         # The result must be equal in every process, so times are rounded and texts are portable.
         hit, trace, event = run.collision, run.trace, event_of(run, failure)
+        attribution, check = run.attribution, failure.check
+        assertion = normalised(failure.assertion, failure.message)
+        facts: dict[str, Any] = {}
+        if check is not None:
+            assertion = failure.assertion
+            # The last digits of a measured value depend on the processor. Those of a bound do not, so more are kept.
+            bounds = {name: _rounded(bound, 6) for name, bound in check.bounds.items()}
+            facts["check"] = Bounded(value=_rounded(check.value, 3), unit=check.unit, **bounds)
         # An assertion already contains its message. An error of the ADS is known by its message alone.
-        is_told = bool(failure.assertion.strip()) and run.ads_error is None
+        if run.ads_error is not None or not failure.assertion.strip():
+            message = next(filter(None, map(str.strip, failure.message.splitlines())), "")
+            facts["message"] = portable(message[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
+        if hit is not None:
+            facts["side"] = hit.side
+            facts["closing_speed"] = _rounded(hit.closing_speed, 3)
+            facts["ego_manoeuvre"] = manoeuvre_before(trace, 0, hit.tick)
+            # In a zone, only the NPC's origin matters, and a fixed object does not move.
+            if hit.npc is not None and not event.zone:
+                facts["npc_manoeuvre"] = manoeuvre_before(trace, hit.npc + 1, hit.tick)
+        # The mistake follows from any other fault.
+        if attribution.fault == "entered-lane":
+            facts["mistake"] = attribution.mistake
         # The last lines show where it was raised. The text is cut here and below, because making it portable is slow.
         text = portable(failure.traceback[-4 * MAX_TRACEBACK :], root)
         if len(text) > MAX_TRACEBACK:
             text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
-        bounded, check = None, failure.check
-        if check is not None:
-            # The last digits of a measured value depend on the processor. Those of a bound do not, so more are kept.
-            bounds = {name: _rounded(bound, 6) for name, bound in check.bounds.items()}
-            bounded = Bounded(value=_rounded(check.value, 3), unit=check.unit, **bounds)
         return cls(
             failure=failure.kind,
-            assertion=failure.assertion
-            if failure.check
-            else normalised(failure.assertion, failure.message),
-            check=bounded,
-            message="" if is_told else _portable_line(failure, root),
+            assertion=assertion,
             outcome=run.outcome,
             time=round(event.time, 3),
             npc=event.npc,
             cell=event.cell,
             zone=event.zone,
-            side=None if hit is None else hit.side,
-            closing_speed=None if hit is None else _rounded(hit.closing_speed, 3),
             situation=situation_of(run, failure, event.time),
-            responsibility=run.attribution.responsibility,
-            fault=run.attribution.fault,
-            mistake=run.attribution.mistake if run.attribution.fault == "entered-lane" else None,
-            npc_manoeuvre=None
-            if hit is None or hit.npc is None or event.zone
-            else manoeuvre_before(trace, hit.npc + 1, hit.tick),
-            ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
+            responsibility=attribution.responsibility,
+            fault=attribution.fault,
             takeover=takeover,
             against=against,
             traceback=text,
+            **facts,
         )
 
 
@@ -276,10 +275,6 @@ class Found:
     policy: str | None = None
     worst_closing_speed: float | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
-
-
-# The metadata of fields that are not stored (see :mod:`pytest_pafot.algorithms.plain`).
-IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -347,7 +342,9 @@ class Finding:
     def longest_run(self) -> float:
         """The longest duration [s] of a run in the finding's world, or infinity if it is unknown."""
         seconds = plain_number(self.world.get("duration"))
-        return math.inf if seconds is None else seconds
+        if seconds is None:
+            return math.inf
+        return seconds
 
     @property
     def signature(self) -> Signature:
@@ -364,13 +361,16 @@ class Finding:
         """The failure rate in words, or an empty string if none was measured."""
         if self.rate is None:
             return ""
-        other = "other " if self.flaky is None else ""
-        return f"it fails {'in' if self.flaky else 'with'} {self.rate} {other}{self.drawn}"
+        if self.flaky is None:
+            return f"it fails with {self.rate} other {self.drawn}"
+        return f"it fails in {self.rate} {self.drawn}"
 
     @property
     def accepted(self) -> str:
         """The reason for accepting the failure and the last day of acceptance, or an empty string."""
-        return "" if self.xfail is None else f"{self.xfail}, until {self.xfail_until}"
+        if self.xfail is None:
+            return ""
+        return f"{self.xfail}, until {self.xfail_until}"
 
     def accepting(self, reason: str | None, until: date | None) -> Finding:
         """Return a copy of the finding with this reason for acceptance and this last day."""
@@ -383,14 +383,14 @@ class Finding:
     @property
     def worst_known(self) -> float:
         """The highest known closing speed [m/s] of this failure, or infinity if none is known."""
-        speeds = (self.expect.closing_speed, self.found.worst_closing_speed)
+        speeds = [self.expect.closing_speed, self.found.worst_closing_speed]
         return max((each for each in speeds if each is not None), default=math.inf)
 
     def with_sight(self, line: str) -> str:
         """Add the limits of perception, if there are any, to a line about the failure."""
-        return (
-            line if self.perception is None else f"{line}, found with {self.perception.described}"
-        )
+        if self.perception is None:
+            return line
+        return f"{line}, found with {self.perception.described}"
 
     @classmethod
     def from_run(
@@ -431,24 +431,29 @@ class FailureEvent:
 
 def event_of(run: Run, failure: Failure | None) -> FailureEvent:
     """Return the event of a failed check, or else the run's most important event."""
-    check = None if failure is None else failure.check
-    if check is not None and run.collision is None:
-        return FailureEvent(
-            time=run.event_time if check.time is None else check.time, npc=check.npc
-        )
-    time = run.event_time if check is None or check.time is None else check.time
-    npc, cell = run.event_npc, run.event_cell
-    zone = run.trace.zones[npc] if run.trace.zones and npc is not None else None
-    if zone is not None and (cell is None or run.attribution.fault in AT_ZONES):
-        return FailureEvent(time=time, npc=npc, cell=cell, zone=zone_in_words(zone))
-    return FailureEvent(time=time, npc=None if cell is None else npc, cell=cell)
+    time, npc, cell = run.event_time, run.event_npc, run.event_cell
+    if failure is not None and failure.check is not None:
+        if failure.check.time is not None:
+            time = failure.check.time
+        if run.collision is None:
+            return FailureEvent(time=time, npc=failure.check.npc)
+    if npc is not None and run.trace.zones:
+        zone = run.trace.zones[npc]
+        if zone is not None and (cell is None or run.attribution.fault in AT_ZONES):
+            return FailureEvent(time=time, npc=npc, cell=cell, zone=zone_in_words(zone))
+    # Without a cell, the NPC is too far away to matter.
+    if cell is None:
+        return FailureEvent(time=time)
+    return FailureEvent(time=time, npc=npc, cell=cell)
 
 
 def _rounded(value: float | None, digits: int) -> float | None:
     # Round to `digits` decimals, or below 1 to `digits` significant digits.
     if value is None or not abs(value) <= MAX_NUMBER:
         return None
-    return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
+    if abs(value) >= 1:
+        return round(value, digits)
+    return float(f"{value:.{digits}g}")
 
 
 def signature_of_failure(run: Run, failure: Failure) -> Signature:
@@ -481,19 +486,17 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
         return Failure(kind="AssertionError", message=message_of(exception), assertion=told)
     # The assertion is the failed `assert` statement, even in a helper module. Without one, it is the last statement of
     # the test file in the traceback, so that changes in third-party libraries do not change a signature.
-    statements = list(_statements(exception.__traceback__))
-    own = [text for text, file in statements if file == test_file and text]
-    deepest = statements[-1][0] if statements else ""
-    # Other code can precede it on the same line, as in `if run.collision: assert ...`.
-    asserted = (
-        re.search(r"(?:^|[:;] *)(assert\b.*)", deepest, re.DOTALL)
-        if isinstance(exception, AssertionError)
-        else None
-    )
-    assertion = asserted[1] if asserted else (own[-1] if own else "")
-    return Failure(
-        kind=type(exception).__name__, message=message_of(exception), assertion=assertion
-    )
+    assertion = deepest = ""
+    for deepest, file in _statements(exception.__traceback__):
+        if file == test_file and deepest:
+            assertion = deepest
+    if isinstance(exception, AssertionError):
+        # Other code can precede it on the same line, as in `if run.collision: assert ...`.
+        asserted = re.search(r"(?:^|[:;] *)(assert\b.*)", deepest, re.DOTALL)
+        if asserted is not None:
+            assertion = asserted[1]
+    kind = type(exception).__name__
+    return Failure(kind=kind, message=message_of(exception), assertion=assertion)
 
 
 def message_of(exception: BaseException) -> str:
@@ -503,16 +506,13 @@ def message_of(exception: BaseException) -> str:
 
 def check_plain(name: str, value: object, depth: int = 0) -> None:
     """Raise a ValueError if a corpus file cannot store a value. The message names the unsuitable part."""
-    if (
-        value is None
-        or isinstance(value, (bool, int, str))
-        or (isinstance(value, float) and not math.isnan(value))
-    ):
+    if value is None or isinstance(value, bool | int | str):
+        return
+    if isinstance(value, float) and not math.isnan(value):
         return
     if depth >= MAX_DEPTH:
-        raise FieldError(
-            field=name, expected=f"at most {MAX_DEPTH} levels of nesting", received="more"
-        )
+        expected = f"at most {MAX_DEPTH} levels of nesting"
+        raise FieldError(field=name, expected=expected, received="more")
     if isinstance(value, Mapping):
         for key, inner in value.items():
             if not isinstance(key, str) or len(key) > MAX_KEY:
@@ -523,32 +523,22 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
         for index, inner in enumerate(value):
             check_plain(f"{name}[{index}]", inner, depth + 1)
     else:
-        expected, fix = (
-            "null, a Boolean, a number other than NaN, a string, a list or a mapping",
-            "convert the value",
-        )
-        raise FieldError(
-            field=name,
-            expected=expected,
-            received=f"the {type(value).__name__} {value!r:.60}",
-            fix=fix,
-        )
-
-
-def _portable_line(failure: Failure, root: str) -> str:
-    first = next((line.strip() for line in failure.message.splitlines() if line.strip()), "")
-    return portable(first[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
+        expected = "null, a Boolean, a number other than NaN, a string, a list or a mapping"
+        received = f"the {type(value).__name__} {value!r:.60}"
+        raise FieldError(field=name, expected=expected, received=received, fix="convert the value")
 
 
 def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
     # The source text, which can be empty, and the file of each entry of the traceback.
     while tb is not None:
         frame, code = tb.tb_frame, tb.tb_frame.f_code
-        at = tb.tb_lasti // 2
-        start, end, *_ = (
-            next(islice(code.co_positions(), at, None), (None, None)) if at >= 0 else (None, None)
-        )
-        first, last = start or tb.tb_lineno or 0, end or start or tb.tb_lineno or 0
+        # A negative index stands for no instruction, for which there is no position either.
+        positions = islice(code.co_positions(), max(tb.tb_lasti // 2, 0), None)
+        start, end, *_ = next(positions, (None, None))
+        if tb.tb_lasti < 0:
+            start = end = None
+        first = start or tb.tb_lineno or 0
+        last = end or first
         numbers = range(first, min(last, first + 50) + 1)
         lines = [linecache.getline(code.co_filename, number, frame.f_globals) for number in numbers]
         yield "".join(lines).strip(), code.co_filename
@@ -579,26 +569,24 @@ def handles(finding: Finding, run: Run) -> bool:
     expect = finding.expect
     if expect.is_crash:  # The process survived, whatever the run shows.
         return True
+    situation = expect.situation
     # If a different party is responsible for the same event, the policy has changed and not the test.
-    if is_same_event(expect, run) and (
-        expect.situation is None or run.responsibility == expect.responsibility
-    ):
+    is_same_party = situation is None or run.responsibility == expect.responsibility
+    if is_same_party and is_same_event(expect, run):
         return True
-    # A run that another event ended did not drive the rest of the scenario. It still handles a failed check if it
-    # continued after the time of the check.
-    is_whole = (
-        run.collision is None
-        and run.ads_error is None
-        and run.outcome not in ("invalid", "off_road")
-    )
-    is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
+    if unhandled(finding, run):
+        return False
+    # A failed check is handled if the run continued after the time of the check.
+    if expect.check is not None and run.duration > expect.time:
+        return True
+    # A run that another event ended did not drive the rest of the scenario.
+    if run.collision is None:
+        return run.ads_error is None and run.outcome not in ("invalid", "off_road")
     # A collision that is not a failure must be more than 2 s after the situation, and longer after it than the failure.
-    if expect.situation is not None and run.collision is not None:
-        after = seconds_after(expect.situation, run)
-        is_whole = is_whole or (
-            after is not None and after > max(expect.time - expect.situation.time, BEFORE)
-        )
-    return is_whole and not unhandled(finding, run)
+    after = seconds_after(situation, run)
+    if situation is None or after is None:
+        return False
+    return after > max(expect.time - situation.time, BEFORE)
 
 
 def unhandled(finding: Finding, run: Run) -> str:
@@ -606,21 +594,13 @@ def unhandled(finding: Finding, run: Run) -> str:
     expect, hit, ended = finding.expect, run.collision, run.trace.ended
     if ended and not run.trace.users_error_text and run.duration < expect.time:
         return f"{ended} ended the run after {run.duration:.1f} s, before the saved failure at {expect.time:.1f} s"
-    # If the file is about a collision, a collision with the same NPC is not handled.
     why = missed(expect.situation, run)
-    is_about_it = (
-        expect.outcome is Outcome.COLLISION
-        and expect.check is None
-        and not finding.signature.is_property
-    )
-    if (
-        why
-        or expect.situation is None
-        or not is_about_it
-        or hit is None
-        or hit.npc != expect.situation.npc
-    ):
+    if why or expect.situation is None or hit is None or hit.npc != expect.situation.npc:
         return why
+    is_collision = expect.outcome is Outcome.COLLISION and expect.check is None
+    if not is_collision or finding.signature.is_property:
+        return ""
+    # The file is about a collision with this NPC.
     return f"the ego and NPC {hit.npc} still collide at {hit.time:.1f} s, but the test accepts this"
 
 
@@ -631,16 +611,20 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
     """
     if failure is not None and failure.kind != expect.failure:
         return False
-    now, side = event_of(run, failure), None if run.collision is None else run.collision.side
+    now = event_of(run, failure)
     is_then = abs(now.time - expect.time) <= SAME_TIME + 1e-9
-    if expect.check is None:
-        # A collision that is a `failure` can be at another time: it is the same if NPC and side are the same.
-        is_then = (is_then and now.cell == expect.cell) or (
-            failure is not None and run.collision is not None
-        )
-        return is_then and (run.outcome, now.npc, side) == (expect.outcome, expect.npc, expect.side)
-    check = None if failure is None else failure.check
-    return check is not None and check.name == expect.assertion and (is_then or check.time is None)
+    if expect.check is not None:
+        if failure is None or failure.check is None or failure.check.name != expect.assertion:
+            return False
+        return is_then or failure.check.time is None
+    side = None
+    if run.collision is not None:
+        side = run.collision.side
+    if (run.outcome, now.npc, side) != (expect.outcome, expect.npc, expect.side):
+        return False
+    # A collision that is a `failure` can be at another time: it is the same if NPC and side are the same.
+    is_failure = failure is not None and run.collision is not None
+    return is_failure or (is_then and now.cell == expect.cell)
 
 
 def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
@@ -655,7 +639,8 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
     if now.failure != then.failure:
         return f"{now.failure} instead of {then.failure}"
     if now.assertion != then.assertion:
-        return f"{now.assertion or 'no assertion'!r} fails instead of {then.assertion or 'no assertion'!r}"
+        here, there = (each.assertion or "no assertion" for each in (now, then))
+        return f"{here!r} fails instead of {there!r}"
     if run.outcome is not finding.expect.outcome:
         return f"the run ends with `{run.outcome}` instead of `{finding.expect.outcome}`"
     if hit is None or not same_versions:  # other versions of packages may move vehicles
@@ -684,19 +669,17 @@ def has_time(run: Run, failure: Failure) -> bool:
     """Return whether a failure occurs at a specific time."""
     # A check without a time, or an assertion on a measure, may be about the complete run, such as the distance driven.
     # It cannot be evaluated in a run that continues.
-    check = failure.check
-    return (
-        not signature_of_failure(run, failure).is_property
-        if check is None
-        else check.time is not None
-    )
+    if failure.check is not None:
+        return failure.check.time is not None
+    return not signature_of_failure(run, failure).is_property
 
 
 def ending(run: Run) -> str:
     """Describe how a run ended."""
     if run.outcome in HAS_EVENT:
         return f"{run.outcome} at {run.event_time:.1f} s"
-    return f"{run.outcome} {'for' if run.outcome is Outcome.COMPLETED else 'after'} {run.duration:.1f} s"
+    when = "for" if run.outcome is Outcome.COMPLETED else "after"
+    return f"{run.outcome} {when} {run.duration:.1f} s"
 
 
 def disagreement(first: Run, again: Run) -> str:
@@ -708,11 +691,9 @@ def disagreement(first: Run, again: Run) -> str:
     if first.collision is not None and again.collision is not None:
         one, other = first.collision, again.collision
         is_same = (one.npc, one.side, one.cell) == (other.npc, other.side, other.cell)
-        return (
-            ""
-            if is_same and abs(one.time - other.time) <= SAME_TIME + 1e-9
-            else f"{one!r}, then {other!r}"
-        )
+        if is_same and abs(one.time - other.time) <= SAME_TIME + 1e-9:
+            return ""
+        return f"{one!r}, then {other!r}"
     if abs(first.duration - again.duration) > SAME_TIME + 1e-9:
         return f"{first.outcome} after {first.duration:.1f} s, then after {again.duration:.1f} s"
     return first_difference(first.trace, again.trace, SAME_PLACE)

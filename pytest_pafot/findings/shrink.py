@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from itertools import combinations, islice, pairwise, permutations, product, zip_longest
+from itertools import combinations, pairwise, permutations, product, zip_longest
 from typing import Any, NamedTuple, TypeVar
 
 from pytest_pafot.model.instructions import (
@@ -279,12 +279,7 @@ class _Gate:
                 continue
             read.append((place, candidate))
             is_left = self.ahead and self.spent + len(told) < self.rollouts
-            if (
-                is_left
-                and candidate is not None
-                and candidate not in told
-                and self._would_run(candidate)
-            ):
+            if is_left and candidate is not None and self._would_run(candidate, told):
                 told.add(candidate)
                 yield Ahead((candidate,), more=True)
             while read and len(told) >= self.ahead:
@@ -297,9 +292,10 @@ class _Gate:
                 return number
         return None
 
-    def _would_run(self, candidate: Scenario) -> bool:
-        is_new = candidate not in self.tried and self._is_allowed(candidate)
-        return is_new and sort_key(candidate) < sort_key(self.best)
+    def _would_run(self, candidate: Scenario, told: Container[Scenario | None]) -> bool:
+        if candidate in told or candidate in self.tried or not self._is_allowed(candidate):
+            return False
+        return sort_key(candidate) < sort_key(self.best)
 
     def _is_allowed(self, candidate: Scenario) -> bool:
         return all(
@@ -345,7 +341,9 @@ def _on_grid(scenario: Scenario) -> Candidates:
 
 def _alone(scenario: Scenario) -> Candidates:
     # Each NPC without the others.
-    for npc in range(len(scenario.npcs)) if len(scenario.npcs) > 1 else ():
+    if len(scenario.npcs) == 1:
+        return
+    for npc in range(len(scenario.npcs)):
         yield scenario.of_npcs([npc])
 
 
@@ -362,10 +360,7 @@ def _cars(scenario: Scenario) -> Candidates:
     kinds = scenario.vehicles
     others = [npc for npc, kind in enumerate(kinds) if kind != CAR]
     if others:
-        yield replace(
-            scenario,
-            vehicles=tuple(CAR if npc in others else kind for npc, kind in enumerate(kinds)),
-        )
+        yield replace(scenario, vehicles=(CAR,) * len(kinds))
     for npc in others:
         yield scenario.with_vehicle(npc, CAR)
 
@@ -382,10 +377,11 @@ def _shorter(scenario: Scenario) -> Candidates:
     # Remove the end of the scenario, then any other interval, long ones first.
     yield from _ending(scenario)
     for start, end in _slices(scenario.genes, scenario.genes - 1):
-        cut = (
-            chain if chain[0].crosses else chain[:start] + chain[end:] for chain in scenario.npcs
-        )
-        yield _valid(scenario, tuple(cut))
+        chains = list(scenario.npcs)
+        for npc, chain in enumerate(chains):
+            if not chain[0].crosses:
+                chains[npc] = chain[:start] + chain[end:]
+        yield _valid(scenario, tuple(chains))
 
 
 def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Candidates:
@@ -438,9 +434,8 @@ def _merged(scenario: Scenario) -> Candidates:
         for first, last in _slices(len(parts) - 1, len(parts) - 1):
             (start, _), (after, end) = parts[first], parts[last]
             for instruction in (chain[start], chain[after]):
-                yield _with_chain(
-                    scenario, npc, chain[:start] + _lasting(instruction, end - start) + chain[end:]
-                )
+                merged = chain[:start] + _lasting(instruction, end - start) + chain[end:]
+                yield _with_chain(scenario, npc, merged)
 
 
 def _staying(scenario: Scenario) -> Candidates:
@@ -448,9 +443,8 @@ def _staying(scenario: Scenario) -> Candidates:
     for npc, chain in enumerate(scenario.npcs):
         for gene, end in _parts(chain):
             before = chain[gene - 1] if gene else None
-            stays = tuple(
-                stay for each in chain[gene:] if (stay := each.staying(before)) is not None
-            )
+            staying = [each.staying(before) for each in chain[gene:]]
+            stays = tuple(stay for stay in staying if stay is not None)
             if not stays:
                 continue
             yield _with_chain(scenario, npc, chain[:gene] + stays)
@@ -476,14 +470,18 @@ def _rounder(scenario: Scenario) -> Candidates:
 def _slower(scenario: Scenario) -> Candidates:
     # A speed is reduced to 0, or by 5, 1 or 0.1 m/s. The pass is repeated as long as it simplifies.
     for npc, start, end, speed in _all_blocks(scenario):
-        for lower in (speed, FIVE, ONE, TENTH) if not scenario.npcs[npc][0].crosses else ():
+        if scenario.npcs[npc][0].crosses:
+            continue
+        for lower in (speed, FIVE, ONE, TENTH):
             yield _with_speed(scenario, npc, start, end, speed - lower)
 
 
 def _plainer(scenario: Scenario) -> Candidates:
     # A slot becomes rounder or nearer to 0.
     for npc, instruction in enumerate(scenario.crossings):
-        for simpler in () if instruction is None else instruction.plainer():
+        if instruction is None:
+            continue
+        for simpler in instruction.plainer():
             yield _with_chain(scenario, npc, (simpler,))
 
 
@@ -523,7 +521,9 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
     # scenario's other kinds of instructions. If NPCs of the scenario cross, only a single NPC that crosses in one of
     # the zones is tried.
     size = len(scenario.npcs), instructions(scenario)
-    length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
+    length = found.genes  # longer chains fail more often
+    if size <= (1, 2):
+        length = scenario.genes
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
     cars = replace(scenario, seed=0, vehicles=())
     begins = [replace(cars, ego_lane=lane, ego_speed=speed) for lane, speed in starts]
@@ -533,18 +533,20 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
         by_kind.setdefault(type(each), []).append(each)
     genes = {kind: tuple(kind.small(each, SMALL_SPEEDS)) for kind, each in by_kind.items()}
     genes[PositionInstruction] = tuple(PositionInstruction.small((), SMALL_SPEEDS))
-    of_kinds = [
-        [((1, 1), ((gene,),)) for gene in each] if kind.crosses else _small_ones(each, length)
-        for kind, each in genes.items()
-        if kind.crosses or not found.crossings
-    ]
+    of_kinds: list[Sequence[Sized]] = []
+    for kind, chosen in genes.items():
+        if kind.crosses:
+            of_kinds.append([((1, 1), ((gene,),)) for gene in chosen])
+        elif not found.crossings:
+            of_kinds.append(_small_ones(chosen, length))
     small = (each for several in zip_longest(*of_kinds) for each in several if each)
-    fitting = (
-        _valid(begin, npcs, kind * len(npcs))
-        for (its_size, npcs), begin, kind in product(small, begins, kinds)
-        if its_size < size or (its_size == size and not is_limited)
-    )
-    yield from islice(fitting, MOST_SMALL if is_limited else None)
+    tried = 0
+    for (its_size, npcs), begin, vehicles in product(small, begins, kinds):
+        if its_size < size or (its_size == size and not is_limited):
+            if is_limited and tried == MOST_SMALL:
+                return
+            tried += 1
+            yield _valid(begin, npcs, vehicles * len(npcs))
 
 
 @lru_cache(maxsize=16)
@@ -552,27 +554,19 @@ def _small_ones(genes: Sequence[Instruction], length: int) -> Sequence[Sized]:
     # The order is mixed, so that the start of the list, however short, has scenarios of each kind. If the most
     # promising ones came first, a limited number of runs would find less.
     ones = [_lasting(gene, times) for gene in genes for times in dict.fromkeys((1, length))]
-    twos = [
-        (first, *_lasting(second, length - 1))
-        for first, second in permutations(genes, 2)
-        if length > 1
-    ]
-    small: list[Sized] = [
-        *(((1, 1), (chain,)) for chain in ones),
-        *(((1, 2), (chain,)) for chain in twos),
-    ]
+    small: list[Sized] = [((1, 1), (chain,)) for chain in ones]
+    if length > 1:
+        for first, second in permutations(genes, 2):
+            small.append(((1, 2), ((first, *_lasting(second, length - 1)),)))
     small += (((2, 2), pair) for pair in combinations(ones, 2))
-    return [
-        each
-        for _, each in sorted(enumerate(small), key=lambda numbered: numbered[0] * GOLDEN % 2**64)
-    ]
+    order = sorted(range(len(small)), key=lambda number: number * GOLDEN % 2**64)
+    return [small[number] for number in order]
 
 
 def _two_steps(scenario: Scenario) -> Candidates:
     # Two simplifications together, if neither works alone, starting with the smallest ones.
-    firsts = dict.fromkeys(
-        each for simplified in STRUCTURE for each in simplified(scenario) if each is not None
-    )
+    steps = (each for simplified in STRUCTURE for each in simplified(scenario))
+    firsts = dict.fromkeys(each for each in steps if each is not None)
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
         for simplified in STRUCTURE:
             yield from simplified(first)
@@ -594,10 +588,10 @@ def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
 
 def _parts(chain: Chromosome) -> list[tuple[int, int]]:
     # Equal instructions in a row are one part, and each lane change is one.
-    starts = [
-        0,
-        *(gene for gene in range(1, len(chain)) if not continues(chain[gene - 1], chain[gene])),
-    ]
+    starts = [0]
+    for gene, (before, instruction) in enumerate(pairwise(chain), 1):
+        if not continues(before, instruction):
+            starts.append(gene)
     return list(pairwise([*starts, len(chain)]))
 
 
@@ -624,10 +618,10 @@ def _valid(
     vehicles: tuple[VehicleType, ...] | None = None,
 ) -> Scenario | None:
     # None if the chains or vehicles break a rule.
+    if vehicles is None:
+        vehicles = scenario.vehicles
     try:
-        return replace(
-            scenario, npcs=npcs, vehicles=scenario.vehicles if vehicles is None else vehicles
-        )
+        return replace(scenario, npcs=npcs, vehicles=vehicles)
     except ScenarioError:  # for an empty chain, a leap across the ring, or two NPCs in one cell
         return None
 

@@ -69,7 +69,9 @@ def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSit
 
 def tick_of_mistake(run: Run, failure: Failure) -> int | None:
     """Return the tick of the lane change, braking or danger that led to a collision, or None."""
-    return None if run.collision is None or failure.check is not None else run.attribution.tick
+    if run.collision is None or failure.check is not None:
+        return None
+    return run.attribution.tick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,100 +97,88 @@ class Situation:
         # changing lanes then, or braking for nothing, it is the last moment before the ego started to. Otherwise, if
         # the NPC entered the ego's lane only later, it is the moment at which the NPC was in the lane.
         trace, mistake = run.trace, tick_of_mistake(run, failure)
-        frame, hz, end = (
-            frame_of(trace),
-            trace.physics_hz,
-            min(round(time * trace.physics_hz), trace.ticks),
-        )
-        tick = end if mistake is None else mistake
+        frame, hz = frame_of(trace), trace.physics_hz
+        end = min(round(time * hz), trace.ticks)
+        tick, since = end, max(end - round(BEFORE * hz), 0)
+        is_steady, is_needless = np.abs(frame.drift[0]) < DRIFTING, False
+        if mistake is not None:
+            tick = since = mistake
+            # An ego that brakes for nothing has chosen its speed, so its speed before the braking counts.
+            if run.attribution.fault in ("braked-for-nothing", "stopped-for-nothing"):
+                is_steady, is_needless = braking(trace) < BRAKES, True
         lanes = _lanes_between(trace, frame, npc)
-        # An ego that brakes for nothing has chosen its speed, so its speed before the braking counts.
-        is_needless = mistake is not None and run.attribution.fault in (
-            "braked-for-nothing",
-            "stopped-for-nothing",
-        )
-        is_steady = braking(trace) < BRAKES if is_needless else np.abs(frame.drift[0]) < DRIFTING
         steady = np.flatnonzero(is_steady[: tick + 1])
         if steady.size and (is_needless or steady[-1] < tick):
             tick = int(steady[-1])
         else:
-            tick = max(tick - round(BEFORE * hz), 0) if mistake is None else tick
+            tick = since
             inside = np.flatnonzero(np.abs(lanes[tick : end + 1]) <= HALF_LANE)
-            tick += int(inside[0]) if inside.size else 0
-        speeds, is_leader = (
-            frame.speed[npc + 1],
-            round(lanes[tick]) == 0 and frame.ahead[npc, tick] > 0,
-        )
-        speed = speeds[tick : end + 1].min() if is_leader else speeds[tick]
-        return cls._at(tick, trace, frame, npc, ego_speed=frame.speed[0, tick], npc_speed=speed)
+            if inside.size:
+                tick += int(inside[0])
+        speed = frame.speed[npc + 1, tick]
+        # A leader that brakes is as slow as it becomes.
+        if round(lanes[tick]) == 0 and frame.ahead[npc, tick] > 0:
+            speed = frame.speed[npc + 1, tick : end + 1].min()
+        return cls._at(tick, trace, npc, speed)
 
     @classmethod
-    def _at(
-        cls,
-        tick: int,
-        trace: Trace,
-        frame: RoadFrame,
-        npc: int,
-        *,
-        ego_speed: float,
-        npc_speed: float,
-    ) -> Self:
-        ahead = float(frame.ahead[npc, tick])
+    def _at(cls, tick: int, trace: Trace, npc: int, npc_speed: float) -> Self:
+        frame = frame_of(trace)
+        ahead = frame.ahead[npc, tick]
         return cls(
             npc=npc,
             time=round(tick / trace.physics_hz, 3),
-            gap=round(abs(ahead) - float(frame.half_lengths(npc)[tick]), 1) + 0.0,  # no -0.0
+            gap=_in_tenths(abs(ahead) - frame.half_lengths(npc)[tick]),
             place="ahead" if ahead > 0 else "behind",
             lanes_to_right=round(float(_lanes_between(trace, frame, npc)[tick])),
-            ego_speed=round(float(ego_speed), 1) + 0.0,
-            npc_speed=round(float(npc_speed), 1) + 0.0,
+            ego_speed=_in_tenths(frame.speed[0, tick]),
+            npc_speed=_in_tenths(npc_speed),
         )
 
     def distances(self, trace: Trace) -> FloatArray:
         # The distances of a run from the situation at each tick: along the road, in lanes and in speeds, in units of
         # the tolerance, shape [3, ticks + 1]. The situation occurs at a tick if all three are at most 1.
-        frame, npc, start = (
-            frame_of(trace),
-            self.npc,
-            round(min(self.time, START) * trace.physics_hz),
-        )
+        frame, npc = frame_of(trace), self.npc
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
-        # between the centres
-        slower, apart = self.ego_speed - self.npc_speed, self.gap + frame.half_lengths(npc)
+        is_early = np.arange(len(ego)) < round(min(self.time, START) * trace.physics_hz)
+        slower = self.ego_speed - self.npc_speed
+        apart = self.gap + frame.half_lengths(npc)  # between the centres
         if self.lanes_to_right == 0 and self.place == "ahead":
-            ego = _highest(np.where(np.arange(len(ego)) < start, 0.0, ego), trace, ANSWER)
-            along = np.where(ahead > 0, ahead / np.maximum(REACH, REACH_FACTOR * apart), np.inf)
+            ego = _highest(np.where(is_early, 0.0, ego), trace, ANSWER)
+            reach = np.maximum(REACH, REACH_FACTOR * apart)
+            along = np.where(ahead > 0, ahead / reach, np.inf)
             lacking = min(SLOWER_SHARE * slower, slower - SPEED) - (ego - speed)
             speeds = np.maximum(1 + lacking / SPEED, 0)
         else:
             then = apart if self.place == "ahead" else -apart
             along = np.abs(ahead - then) / np.maximum(PLACE, PLACE_SHARE * apart)
+            along = np.where(is_early, np.inf, along)
             # An NPC whose own speed matches, such as one that overtakes, may be next to an ego of a different speed.
-            own = np.maximum(
-                np.abs(speed - self.npc_speed) / SPEED, np.abs(ego - self.ego_speed) / EGO_SPEED
-            )
-            speeds = np.minimum(np.abs(ego - speed - slower) / SPEED, own)
-            along = np.where(np.arange(len(along)) < start, np.inf, along)
+            own_speed = np.abs(speed - self.npc_speed) / SPEED
+            egos_speed = np.abs(ego - self.ego_speed) / EGO_SPEED
+            relative_speed = np.abs(ego - speed - slower) / SPEED
+            speeds = np.minimum(relative_speed, np.maximum(own_speed, egos_speed))
         aside = np.abs(_lanes_between(trace, frame, npc) - self.lanes_to_right) / HALF_LANE
         return np.stack((along, aside, speeds))
 
     def nearest_in(self, trace: Trace) -> Self:
         """Return the situation in a run that was closest to this one."""
-        frame, tick = frame_of(trace), int((self.distances(trace) ** 2).sum(axis=0).argmin())
-        ego_speed, npc_speed = frame.speed[0, tick], frame.speed[self.npc + 1, tick]
-        return self._at(tick, trace, frame, self.npc, ego_speed=ego_speed, npc_speed=npc_speed)
+        tick = _nearest_tick(self, trace)
+        return self._at(tick, trace, self.npc, frame_of(trace).speed[self.npc + 1, tick])
 
     def __str__(self) -> str:
-        place = f"{self.gap:.1f} m {self.place}" if self.gap > 0 else "side by side with the ego"
-        lanes, side = abs(self.lanes_to_right), "left" if self.lanes_to_right < 0 else "right"
-        lane = (
-            f"{'one lane' if lanes == 1 else f'{lanes} lanes'} to the {side}"
-            if lanes
-            else "in the ego's lane"
-        )
-        return (
-            f"{place} {lane} at {self.npc_speed:.1f} m/s, with the ego at {self.ego_speed:.1f} m/s"
-        )
+        place, lane = "side by side with the ego", "in the ego's lane"
+        if self.gap > 0:
+            place = f"{self.gap:.1f} m {self.place}"
+        lanes, side = abs(self.lanes_to_right), "right"
+        if self.lanes_to_right < 0:
+            side = "left"
+        if lanes == 1:
+            lane = f"one lane to the {side}"
+        elif lanes:
+            lane = f"{lanes} lanes to the {side}"
+        speeds = f"at {self.npc_speed:.1f} m/s, with the ego at {self.ego_speed:.1f} m/s"
+        return f"{place} {lane} {speeds}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,10 +200,12 @@ class ZoneSituation:
         # The moment is the time of the ego's mistake or, if that is unknown, 2 s before the failure. If the mistake is
         # to enter the zone, the moment is 2 s before the mistake.
         trace, mistake = run.trace, tick_of_mistake(run, failure)
-        if mistake is None or run.attribution.fault is None or run.attribution.fault in AT_ZONES:
-            since = round(time * trace.physics_hz) if mistake is None else mistake
-            mistake = max(since - round(BEFORE * trace.physics_hz), 0)
-        return cls._at(min(mistake, trace.ticks), trace, npc)
+        tick, fault = round(time * trace.physics_hz), run.attribution.fault
+        if mistake is not None:
+            tick = mistake
+        if mistake is None or fault is None or fault in AT_ZONES:
+            tick = max(tick - round(BEFORE * trace.physics_hz), 0)
+        return cls._at(min(tick, trace.ticks), trace, npc)
 
     @classmethod
     def _at(cls, tick: int, trace: Trace, npc: int) -> Self:
@@ -222,50 +214,56 @@ class ZoneSituation:
         return cls(
             npc=npc,
             time=round(tick / trace.physics_hz, 3),
-            npc_enters=round(float(npc_enters[tick]), 1) + 0.0,
-            ego_enters=round(float(ego_enters[tick]), 1) + 0.0,
-            ego_speed=round(float(ego_speed), 1) + 0.0,
-            npc_speed=round(float(npc_speed), 1) + 0.0,
+            npc_enters=_in_tenths(npc_enters[tick]),
+            ego_enters=_in_tenths(ego_enters[tick]),
+            ego_speed=_in_tenths(ego_speed),
+            npc_speed=_in_tenths(npc_speed),
         )
 
     def distances(self, trace: Trace) -> FloatArray:
         # As for `Situation.distances`, but in the two times and the NPC's speed.
         ego_enters, npc_enters = _times_to_zone(trace, self.npc)
-        ego_enters = np.where(
-            np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz,
-            np.inf,
-            ego_enters,
-        )
-        pairs = (ego_enters, self.ego_enters), (npc_enters, self.npc_enters)
-        ego, npc = (
-            np.abs(now - then) / max(ARRIVAL, ARRIVAL_SHARE * abs(then)) for now, then in pairs
-        )
-        return np.stack(
-            (ego, npc, np.abs(trace.states[:, self.npc + 1, SPEEDS] - self.npc_speed) / SPEED)
-        )
+        is_early = np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz
+        ego_enters = np.where(is_early, np.inf, ego_enters)
+        distances = []
+        for now, then in ((ego_enters, self.ego_enters), (npc_enters, self.npc_enters)):
+            distances.append(np.abs(now - then) / max(ARRIVAL, ARRIVAL_SHARE * abs(then)))
+        speeds = trace.states[:, self.npc + 1, SPEEDS]
+        return np.stack((*distances, np.abs(speeds - self.npc_speed) / SPEED))
 
     def nearest_in(self, trace: Trace) -> Self:
-        return self._at(int((self.distances(trace) ** 2).sum(axis=0).argmin()), trace, self.npc)
+        """Return the situation in a run that was closest to this one."""
+        return self._at(_nearest_tick(self, trace), trace, self.npc)
 
     def __str__(self) -> str:
-        npc, ego = (
-            f"{abs(time):.1f} s {'from' if time >= 0 else 'past the start of'}"
-            for time in (self.npc_enters, self.ego_enters)
-        )
-        return f"{npc} its zone at {self.npc_speed:.1f} m/s, with the ego {ego} it at {self.ego_speed:.1f} m/s"
+        places = []
+        for time in (self.npc_enters, self.ego_enters):
+            where = "from" if time >= 0 else "past the start of"
+            places.append(f"{abs(time):.1f} s {where}")
+        npc = f"{places[0]} its zone at {self.npc_speed:.1f} m/s"
+        return f"{npc}, with the ego {places[1]} it at {self.ego_speed:.1f} m/s"
+
+
+def _in_tenths(value: float) -> float:
+    # Round a value, which may be of numpy, so that it is never -0.0.
+    return round(float(value), 1) + 0.0
+
+
+def _nearest_tick(situation: Situation | ZoneSituation, trace: Trace) -> int:
+    squares = situation.distances(trace) ** 2
+    return int(squares.sum(axis=0).argmin())
 
 
 def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
     # The times of the ego and of the NPC [s].
     zone, on_way = trace.zones[npc], trace.on_way
     assert zone is not None and on_way is not None, "the NPC crosses"  # noqa: S101, PT018
-    ego = zone.ego[0] - trace.track_of(0)[:, ALONG], trace.states[:, 0, SPEEDS]
-    other = zone.npc[0] - on_way[:, npc], trace.states[:, npc + 1, SPEEDS]
-    one, two = (
-        left / np.maximum(_highest(speed, trace, APPROACH), LEAST_SPEED)
-        for left, speed in (ego, other)
+    egos, npcs = (
+        np.maximum(_highest(trace.states[:, vehicle, SPEEDS], trace, APPROACH), LEAST_SPEED)
+        for vehicle in (0, npc + 1)
     )
-    return one, two
+    left = zone.ego[0] - trace.track_of(0)[:, ALONG]
+    return left / egos, (zone.npc[0] - on_way[:, npc]) / npcs
 
 
 def _highest(speeds: FloatArray, trace: Trace, seconds: float) -> FloatArray:
@@ -279,16 +277,16 @@ def seconds_after(situation: Situation | ZoneSituation | None, run: Run) -> floa
     if situation is None or not _can_be_compared(situation, run.trace):
         return None
     came_up = np.flatnonzero(situation.distances(run.trace).max(axis=0) <= 1)
-    return run.duration - float(came_up[0]) / run.trace.physics_hz if came_up.size else None
+    if not came_up.size:
+        return None
+    return run.duration - float(came_up[0]) / run.trace.physics_hz
 
 
 def missed(situation: Situation | ZoneSituation | None, run: Run) -> str:
     """Return a sentence about a situation that did not occur in a run, or an empty string if it did."""
-    if (
-        situation is None
-        or not _can_be_compared(situation, run.trace)
-        or seconds_after(situation, run) is not None
-    ):
+    if situation is None or not _can_be_compared(situation, run.trace):
+        return ""
+    if seconds_after(situation, run) is not None:
         return ""
     now = situation.nearest_in(run.trace)
     return (
@@ -306,6 +304,6 @@ def _can_be_compared(situation: Situation | ZoneSituation, trace: Trace) -> bool
 def _lanes_between(trace: Trace, frame: RoadFrame, npc: int) -> FloatArray:
     # In widths of the ego's lane.
     widths = np.array([lane.width for lane in trace.lanes])
-    return np.asarray(
-        frame.right[npc] / widths[np.maximum(trace.states[:, 0, LANE].astype(np.intp), 0)]
-    )
+    # Off the road, the lane is -1.
+    lane_of_ego = np.maximum(trace.states[:, 0, LANE].astype(np.intp), 0)
+    return np.asarray(frame.right[npc] / widths[lane_of_ego])

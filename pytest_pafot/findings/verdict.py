@@ -26,6 +26,9 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome, Side
 from pytest_pafot.oracle.run import Check, CheckFailed, Run
 
+# The metadata of fields that are not stored (see :mod:`pytest_pafot.algorithms.plain`).
+IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
+
 MAX_ASSERTION = 200
 MAX_SLUG = 32
 NUMBER = "N"
@@ -119,20 +122,18 @@ class Signature:
         )
         if told.is_property:  # it is the same, however the run continued
             return replace(ended, outcome=Outcome.COMPLETED, responsibility="none")
-        if told.fault is not None:
-            # At a zone, the mistake of an ego that did not give way depends on the origin of the NPC.
-            given = (
-                None
-                if told.zone is None
-                else NOT_GIVEN_WAY[cast("Origin", told.zone.rpartition(" ")[2])]
-            )
-            known = given if told.fault == "did-not-give-way" else BY_FAULT.get(told.fault)
-            at_zone = told.zone if told.fault in AT_ZONES else None
-            mistake = told.mistake or known
-            return replace(
-                ended, responsibility="ego", mistake=mistake, fault=told.fault, zone=at_zone
-            )
-        return told if told.outcome is Outcome.COLLISION else replace(told, cell=None, zone=None)
+        if told.fault is None:
+            # Without a collision, the cell and the zone are only those of the most critical moment.
+            is_hit = told.outcome is Outcome.COLLISION
+            return told if is_hit else replace(told, cell=None, zone=None)
+        ended = replace(ended, responsibility="ego", fault=told.fault)
+        mistake = told.mistake or BY_FAULT.get(told.fault)
+        if told.fault not in AT_ZONES:
+            return replace(ended, mistake=mistake)
+        # At a zone, the mistake of an ego that did not give way depends on the origin of the NPC.
+        if mistake is None and told.zone is not None:
+            mistake = NOT_GIVEN_WAY[cast("Origin", told.zone.rpartition(" ")[2])]
+        return replace(ended, mistake=mistake, zone=told.zone)
 
     @property
     def is_property(self) -> bool:
@@ -148,12 +149,14 @@ class Signature:
     @property
     def told(self) -> dict[str, str]:
         """The fields that identify the failure, as strings, without those that are None."""
-        compared = {each.name: getattr(self, each.name) for each in fields(self) if each.compare}
-        words = {
-            name: value.label if isinstance(value, Cell) else value
-            for name, value in compared.items()
-        }
-        return {name: str(value) for name, value in words.items() if value is not None}
+        told = {}
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, Cell):
+                value = value.label
+            if each.compare and value is not None:
+                told[each.name] = str(value)
+        return told
 
     @property
     def text(self) -> str:
@@ -164,9 +167,11 @@ class Signature:
     def slug(self) -> str:
         """A short name for files, such as ``rear-6``. It is not unique."""
         if self.fault is not None:
-            is_behind = self.fault == "entered-lane" and self.mistake == "kept-no-distance"
-            whence = "" if self.zone is None else f"-{self.zone.rpartition(' ')[2]}"
-            return "entered-behind" if is_behind else f"{self.fault}{whence}"
+            if self.fault == "entered-lane" and self.mistake == "kept-no-distance":
+                return "entered-behind"
+            if self.zone is None:
+                return self.fault
+            return f"{self.fault}-{self.zone.rpartition(' ')[2]}"
         if self.failure == CHECK_FAILED:
             return _kebab(self.assertion.lower()) or "check"
         outcome = self.outcome.replace("_", "-")
@@ -176,12 +181,14 @@ class Signature:
             subject = outcome
         else:
             words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
-            subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))
+            subjects = [word for word in dict.fromkeys(words) if word not in _NO_SUBJECT]
             subject = _kebab("-".join(subjects[:3])) or _kebab(self.failure.lower()) or outcome
         if self.zone is not None:
             kind, *_, whence = self.zone.split()
             return f"{subject}-{kind}-{whence}"
-        return subject if self.cell is None else f"{subject}-{int(self.cell)}"
+        if self.cell is None:
+            return subject
+        return f"{subject}-{int(self.cell)}"
 
 
 def zone_in_words(zone: Zone) -> str:
@@ -201,19 +208,17 @@ def normalised(assertion: str, message: str = "") -> str:
 
 class _Numberless(ast.NodeTransformer):
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
-        is_number = isinstance(node.value, (int, float, complex)) and not isinstance(
-            node.value, bool
-        )
-        return ast.Name(id=NUMBER) if is_number else node
+        # A Boolean is an int, too.
+        if isinstance(node.value, int | float | complex) and not isinstance(node.value, bool):
+            return ast.Name(id=NUMBER)
+        return node
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
         inner = self.visit(node.operand)
-        signs_a_number = isinstance(node.op, (ast.USub, ast.UAdd)) and isinstance(inner, ast.Name)
-        return (
-            inner
-            if signs_a_number and inner.id == NUMBER
-            else ast.UnaryOp(op=node.op, operand=inner)
-        )
+        is_sign = isinstance(node.op, ast.USub | ast.UAdd)
+        if is_sign and isinstance(inner, ast.Name) and inner.id == NUMBER:
+            return inner
+        return ast.UnaryOp(op=node.op, operand=inner)
 
 
 @lru_cache(maxsize=64)
@@ -223,21 +228,21 @@ def _named(assertion: str) -> tuple[set[str], set[str]]:
     try:
         nodes = list(ast.walk(ast.parse(assertion, mode="eval")))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        cut = (
-            set(re.findall(r"\b[A-Za-z_]\w*\.(\w+)", assertion))
-            if len(assertion) > MAX_ASSERTION - 9
-            else set()
-        )
-        return cut, cut  # the text was cut short, so it does not parse
-    calls = (node for node in nodes if isinstance(node, ast.Call))
-    helpers = [
-        call.func for call in calls if any(isinstance(argument, ast.Name) for argument in call.args)
-    ]
-    attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
-    measures = {
-        each.attr for each in attributes if isinstance(each.value, ast.Name) and each not in helpers
-    }
-    return {each.attr for each in attributes}, measures
+        cut: set[str] = set()
+        # Other long texts were cut short, so they do not parse.
+        if len(assertion) > MAX_ASSERTION - 9:
+            cut.update(re.findall(r"\b[A-Za-z_]\w*\.(\w+)", assertion))
+        return cut, cut
+    helpers, named, measures = list[ast.expr](), set[str](), set[str]()
+    for node in nodes:
+        # `ast.walk` visits a call before its function.
+        if isinstance(node, ast.Call) and any(isinstance(each, ast.Name) for each in node.args):
+            helpers.append(node.func)
+        if isinstance(node, ast.Attribute):
+            named.add(node.attr)
+            if isinstance(node.value, ast.Name) and node not in helpers:
+                measures.add(node.attr)
+    return named, measures
 
 
 @lru_cache(maxsize=64)  # most failures of a search are at a few statements
@@ -246,7 +251,9 @@ def _from_source(assertion: str) -> str:
         body = ast.parse(dedent(assertion).strip()).body
         if len(body) != 1:
             return ""
-        tested = body[0].test if isinstance(body[0], ast.Assert) else body[0]
+        tested: ast.AST = body[0]
+        if isinstance(tested, ast.Assert):
+            tested = tested.test
         return " ".join(ast.unparse(_Numberless().visit(tested)).split())
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return ""  # not an expression that this interpreter can parse; it is treated as a message
@@ -254,10 +261,12 @@ def _from_source(assertion: str) -> str:
 
 def _from_message(message: str) -> str:
     line = next((line for line in message.splitlines() if line.strip()), "")
-    line = _NUMBER.sub(NUMBER, _PATH.sub("PATH", _ADDRESS.sub("ADDRESS", line)))
-    return " ".join(
-        "".join(character if character.isprintable() else " " for character in line).split()
-    )
+    line = _PATH.sub("PATH", _ADDRESS.sub("ADDRESS", line))
+    line = _NUMBER.sub(NUMBER, line)
+    for character in set(line):
+        if not character.isprintable():
+            line = line.replace(character, " ")
+    return " ".join(line.split())
 
 
 def _kebab(text: str) -> str:
@@ -291,27 +300,27 @@ class Severity:
         """The value as a short string without the unit."""
         if self.value is None:
             return "no finite number"
-        return f"{self.value:.1f}" if self.kind == "collision" else f"{self.value:.3g}"
+        if self.kind == "collision":
+            return f"{self.value:.1f}"
+        return f"{self.value:.3g}"
 
     def __str__(self) -> str:
         figure = f"{self.figure} {self.unit}".rstrip()
-        return (
-            f"hits at {figure}"
-            if self.kind == "collision"
-            else f"violates the bound of {self.name} by {figure}"
-        )
-
-    def is_fault(self, responsible: str) -> bool:
-        """Return whether the failure is a collision for which the ego is responsible."""
-        return self.kind == "collision" and responsible in ("ego", "both")
+        if self.kind == "collision":
+            return f"hits at {figure}"
+        return f"violates the bound of {self.name} by {figure}"
 
     @property
     def figures(self) -> tuple[int, float, float]:
         # The numbers that are compared, in order. Larger is worse.
-        value = math.inf if self.value is None else self.value
+        value = margin = math.inf
+        if self.value is not None:
+            value = self.value
         if self.kind == "collision":
             return 2, value, 0.0
-        return 1, math.inf if self.margin is None else -self.margin, value
+        if self.margin is not None:
+            margin = -self.margin
+        return 1, margin, value
 
     @staticmethod
     def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
@@ -323,7 +332,9 @@ class Severity:
         # after it.
         if severity is None:
             return 1, 0, 0.0, 0.0
-        return not severity.is_fault(responsible), *(-each for each in severity.figures)
+        is_fault = severity.kind == "collision" and responsible in ("ego", "both")
+        kind, value, other = severity.figures
+        return not is_fault, -kind, -value, -other
 
     def __lt__(self, other: Severity) -> bool:
         return (self.figures, self.name, self.unit) < (other.figures, other.name, other.unit)
@@ -339,21 +350,17 @@ def severity_of(run: Run, failure: Failure) -> Severity | None:
     signature = Signature(
         failure=failure.kind, assertion=text, outcome=run.outcome, responsibility="none"
     )
-    return _of_collision(
-        signature, None if run.collision is None else round(run.collision.closing_speed, 6)
-    )
-
-
-def _of_collision(signature: Signature, closing_speed: float | None) -> Severity | None:
-    if closing_speed is None or signature.is_property:
+    if run.collision is None or signature.is_property:
         return None
-    return Severity(kind="collision", value=closing_speed, unit="m/s")
+    return Severity(kind="collision", value=round(run.collision.closing_speed, 6), unit="m/s")
 
 
 def _of_check(check: Check) -> Severity:
-    over = -math.inf if check.at_most is None else check.value - check.at_most
-    under = -math.inf if check.at_least is None else check.at_least - check.value
-    by = max(over, under)
+    by = -math.inf
+    if check.at_most is not None:
+        by = check.value - check.at_most
+    if check.at_least is not None:
+        by = max(by, check.at_least - check.value)
     if not math.isfinite(by + check.margin):
         return Severity(kind="check", value=None, unit=check.unit, name=check.name)
     # rounded, so that it is equal in every process
@@ -368,13 +375,12 @@ def worsening(now: Severity | None, before: Severity | None) -> str:
     if now is None:
         return ""
     if before is None or now.kind != before.kind:
-        return f"{now}, with no collision before" if now.kind == "collision" else ""
-    is_same = (now.name, now.unit) == (before.name, before.unit)
-    if (
-        not is_same
-        or now.figures[1] - before.figures[1] < Severity.WORSE_BY[now.kind]
-        or now.figure == before.figure
-    ):
+        if now.kind != "collision":
+            return ""
+        return f"{now}, with no collision before"
+    if (now.name, now.unit) != (before.name, before.unit) or now.figure == before.figure:
+        return ""
+    if now.figures[1] - before.figures[1] < Severity.WORSE_BY[now.kind]:
         return ""
     return f"{now} instead of {before.figure}"
 
@@ -388,16 +394,15 @@ class Verdict:
     # ``invalid`` is a run that shows nothing about the ego, for example because two NPCs collided, or because the run
     # of the reference is invalid.
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
-    exception: BaseException | None = None  # the exception of the function, if it failed or skipped
-    failure: Failure | None = None
+    # the exception of the function, if it failed or skipped
+    exception: BaseException | None = field(default=None, metadata=IN_MEMORY)
+    failure: Failure | None = field(default=None, metadata=IN_MEMORY)
     # the checks that the function made, in order, up to one that failed
-    checks: tuple[Check, ...] = ()
+    checks: tuple[Check, ...] = field(default=(), metadata=IN_MEMORY)
     is_timed: bool = False  # True if it depends on wall-clock time
     is_ads: bool = False  # True if the ADS itself failed, regardless of what the function asserts
     # severity of the failure; None if there is none, or if nothing measures it
     severity: Severity | None = None
-    # verdict on the reference in the same scenario; None if it was not run
-    reference: Verdict | None = None
 
     @property
     def failed(self) -> bool:
@@ -425,15 +430,9 @@ class Verdict:
             worst[each.name] = min(each.margin, worst.get(each.name, math.inf))
         return tuple(sorted(worst.items()))
 
-    @property
-    def worsening(self) -> str:
-        """A description of the increase in severity over the reference's failure, or an empty string."""
-        return "" if self.reference is None else worsening(self.severity, self.reference.severity)
-
     def beside(self, reference: Verdict) -> Self:
         """Return this verdict, adjusted for the verdict on a run of the reference."""
         # A failure counts only if the reference passes. If the run of the reference is invalid, that is unknown.
-        without: Literal["invalid", "common"] = (
-            "invalid" if reference.kind == "invalid" else "common"
-        )
-        return replace(self, kind="failed" if reference.passes else without, reference=reference)
+        if reference.passes:
+            return replace(self, kind="failed")
+        return replace(self, kind="invalid" if reference.kind == "invalid" else "common")

@@ -200,7 +200,7 @@ class Guard:
         # First, skip the saved scenarios that were run, newly found, or deselected by name.
         known = set(self._run)
         for seen in self._session.seen.values():
-            if seen.observed.new:  # It is reported later.
+            if seen.is_new:  # It is reported later.
                 known.add(seen.path)
         if any(map(_BY_NAME.match, call_of(self._config))):
             known |= inventory.deselected

@@ -105,7 +105,7 @@ def send_seen(
         # The sentences are about the collision, not about the check.
         if sentences and check is not None:
             sentences = (f"{ALSO} {collision_in_short(seen.run)}.",)
-    seen = replace(seen, observed=replace(seen.observed, sentences=sentences))
+    seen = replace(seen, sentences=sentences)
     # The view of the page is large, so it is created only if a page was requested.
     if settings.report is not None and seen.headline:
         from pytest_pafot.report.views import finding_view  # noqa: PLC0415

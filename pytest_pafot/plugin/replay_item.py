@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, assert_never
 
 import pytest
 
@@ -12,8 +12,8 @@ from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.findings.finding import SAME_TIME, Finding, is_same_failure, unhandled
-from pytest_pafot.findings.sighting import Observed, Seen, label
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.sighting import Beyond, Died, Finished, Replay, Seen, label
+from pytest_pafot.findings.verdict import Verdict, worsening
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import base_id
 from pytest_pafot.plugin.item import (
@@ -29,8 +29,16 @@ from pytest_pafot.plugin.item import (
 )
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.searches.events import Note
-from pytest_pafot.searches.harness import Cause, SetupFaultError, cause_of, headline
-from pytest_pafot.searches.replays import Replays, describe_result, event_change
+from pytest_pafot.searches.harness import Cause, Harness, SetupFaultError, cause_of, headline
+from pytest_pafot.searches.replays import (
+    Replays,
+    changes,
+    check_set_up,
+    describe_result,
+    event_change,
+    note_on,
+    setting_changes,
+)
 from pytest_pafot.searches.request import Request
 from pytest_pafot.searches.results import cause_of_death
 from pytest_pafot.support.errors import RequestError, flag
@@ -58,33 +66,41 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         del item.stash[NOT_ACCEPTED]
     # Run the scenario, and evaluate the run with the test function.
     now = replays.observed(saved, item.nodeid)
-    if not now.is_lost:
+    if not now.keeps_record:
         for leftover in harness.left_behind(item.nodeid):
             leftover.discard()  # The item reports its result now.
-    if now.run is not None:
-        why = now.run.trace.users_error_text
-        if why:
-            text = f"the replay cannot show whether the policy drives well: {visible(why)}"
-            pytest.fail(text, pytrace=False)
-        _check_set_up(item, replays, saved, *now.ran)
-    raised = None if now.verdict is None else now.verdict.exception
-    line = ""
-    if isinstance(raised, ProcessLostError):
-        happening = f"the process {raised.end}"
-        line = f"the process (pid {raised.pid}) that ran this scenario {raised.end}"
-    else:
-        run, verdict = now.ran
-        happening = describe_result(finding, run, verdict.failure)
-        if verdict.failed:
-            line = headline(run, verdict)
+    match now.ran:
+        case Died(end=end, pid=pid):
+            happening = f"the process {end}"
+            line = f"the process (pid {pid}) that ran this scenario {end}"
+        case Finished(run=run, verdict=verdict):
+            if why := run.trace.users_error_text:
+                text = f"the replay cannot show whether the policy drives well: {visible(why)}"
+                pytest.fail(text, pytrace=False)
+            _check_set_up(item, replays, saved, run, verdict)
+            happening = describe_result(finding, run, verdict.failure)
+            line = ""
+            if verdict.failed:
+                line = headline(run, verdict)
+        case _:
+            assert_never(now.ran)
     # The mark xfail of the item accepts every exception, so the report must know that this one is not accepted.
-    if now.beyond:
-        item.stash[NOT_ACCEPTED] = now.beyond
-    detail = _detail(replays, finding, now, happening)
+    if isinstance(now.acceptance, Beyond):
+        item.stash[NOT_ACCEPTED] = now.acceptance.why
+    detail = _detail(harness, finding, now, happening)
     item.stash[REPLAYED] = True
     # The controller is informed before the item can end with an exception.
-    sighting = _send(item, replays, saved, finding, now, line, detail)
-    item.stash[OF_ONE_RUN].show(now.run)  # the last call may have evaluated the reference
+    sighting = Seen(
+        finding=finding,
+        node_id=item.nodeid,
+        test=base_id(item),
+        observed=now,
+        headline=line,
+        path=relative(saved.path, harness.root),
+        detail=detail,
+    )
+    _send(item, harness, sighting)
+    item.stash[OF_ONE_RUN].show(sighting.run)  # the last call may have evaluated the reference
     if finding.xfail is not None and not now.fails:
         # A flaky scenario stays accepted, because it may have passed by chance.
         if not now.is_unsteady:
@@ -92,39 +108,44 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
             text = f"It did not fail ({sighting.label}). {advice}"
             lines = fitted_lines([text], item.config.stash[SHARED].width)
             item.add_report_section("call", "pafot", "\n".join(lines))
-        elif now.is_accepted:
+        elif now.acceptance == "accepted":
             pytest.xfail(f"{visible(finding.xfail)}; flaky: it passed this time")
-    if not now.fails or raised is None:
-        _conclude_pass(*now.ran, sighting.label, detail, is_strict=request.settings.strict_drift)
-        return
-    if isinstance(raised, ProcessLostError):
-        pytest.fail(f"{line}: {cause_of_death(raised, 'delete the file')}", pytrace=False)
-    raise exception_for_pytest(raised)
+    match now.ran:
+        case Died() as died:
+            pytest.fail(f"{line}: {cause_of_death(died, 'delete the file')}", pytrace=False)
+        case Finished(verdict=Verdict(exception=BaseException() as raised)) if now.fails:
+            raise exception_for_pytest(raised)
+        case Finished(run=run, verdict=verdict):
+            is_strict = request.settings.strict_drift
+            _conclude_pass(run, verdict, sighting.label, detail, is_strict=is_strict)
 
 
-def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -> str:
+def _detail(harness: Harness, finding: Finding, now: Replay, happening: str) -> str:
     """Describe the differences between a replay and the file, and the reference's result."""
-    notes = []
-    name = replays.harness.against_name
+    notes: list[str] = []
     if now.reference_passes is not None:
         how = "passes" if now.reference_passes else "fails"
-        notes.append(f"the reference {name} {how}")
-    elif name:
-        notes.append(f"compared with {name}")
+        notes.append(f"the reference {now.against} {how}")
+    elif now.against:
+        notes.append(f"compared with {now.against}")
+    note = note_on(finding, now)
     if now.is_unsteady or (now.fails and not now.is_same) or label(now) == "drifted":
-        notes.insert(0, replays.changes(finding, happening))
-        if now.run is not None and not now.fails and not now.is_unsteady:
-            notes.insert(0, unhandled(finding, now.run))
-        notes.append(now.note)
+        notes = [changes(harness, finding, happening), *notes, note]
+        # A pass shows a fix only if the saved situation occurred.
+        if isinstance(now.ran, Finished) and not now.fails and not now.is_unsteady:
+            notes.insert(0, unhandled(finding, now.ran.run))
         return "; ".join(filter(None, notes))
-    if now.reference_passes is False and now.verdict is not None and now.verdict.worsening:
-        notes.append(f"it became worse: it {now.verdict.worsening}")
+    worse = worsening(now.shown.severity, now.before)
+    if worse and now.fails and now.reference_passes is False:
+        notes.append(f"it became worse: it {worse}")
     # A collision with the same vehicle is the same failure at any time, so the note states the new time.
     is_first = now.fails and not now.is_later and now.rate is None
-    time = finding.expect.time
-    if is_first and now.run is not None and abs(now.run.event_time - time) > SAME_TIME:
-        notes.append(event_change(finding, happening))
-    return "; ".join(filter(None, [now.note, *notes, *replays.setting_changes(finding)]))
+    match now.ran:
+        case Finished(run=run) if (
+            is_first and abs(run.event_time - finding.expect.time) > SAME_TIME
+        ):
+            notes.append(event_change(finding, happening))
+    return "; ".join(filter(None, [note, *notes, *setting_changes(harness, finding)]))
 
 
 def _check_set_up(
@@ -145,7 +166,8 @@ def _check_set_up(
         pytest.fail(text, pytrace=False)
     error: BaseException | None = None
     try:
-        replays.check_set_up(saved, run, verdict, item.nodeid)
+        isolate = replays.is_apart(saved, item.nodeid)
+        check_set_up(replays.harness, run, verdict, owner=item.nodeid, isolate=isolate)
     except SetupFaultError as fault:
         faults[key] = item.nodeid
         error = exception_for_pytest(fault.shown(replays.harness.world, replays.harness.policy))
@@ -153,46 +175,25 @@ def _check_set_up(
         raise error
 
 
-def _send(
-    item: pytest.Function,
-    replays: Replays,
-    saved: Saved,
-    finding: Finding,
-    now: Observed,
-    headline: str,
-    detail: str,
-) -> Seen:
-    path, verdict = relative(saved.path, replays.harness.root), now.verdict
-    severity, before, check = None, None, None
-    if verdict is not None:
-        severity = verdict.severity
-        if verdict.reference is not None:
-            before = verdict.reference.severity
-        if verdict.failure is not None:
-            check = verdict.failure.check
-    against = replays.harness.against_name
-    sighting = Seen(
-        finding=finding,
-        node_id=item.nodeid,
-        test=base_id(item),
-        observed=replace(now, against=against, severity=severity, before=before),
-        headline=headline,
-        path=path,
-        detail=detail,
-    )
-    if headline:
+def _send(item: pytest.Function, harness: Harness, sighting: Seen) -> None:
+    """Send a replay to the controller, and add its facts to the item's properties."""
+    finding, now = sighting.finding, sighting.replay
+    if sighting.headline:
         set_properties(item.user_properties, severity=sighting.severity or "none")
     # After the last day, the item fails again. The warning reminds the user of the reason.
-    if finding.xfail is not None and not replays.accepts(finding):
+    if finding.xfail is not None and now.acceptance == "not accepted":
         over = (
-            f"{path}: the failure is no longer accepted ({finding.accepted}). Correct the policy, "
+            f"{sighting.path}: the failure is no longer accepted ({finding.accepted}). Correct the policy, "
             "write a later day, or remove the line `xfail:`"
         )
         send(item, Note(over, "warning"))
-    send_seen(item, replays.harness.request.settings, sighting, check=check, note=now.note)
+    check = None
+    if isinstance(now.ran, Finished) and now.ran.verdict.failure is not None:
+        check = now.ran.verdict.failure.check
+    settings, note = harness.request.settings, note_on(finding, now)
+    send_seen(item, settings, sighting, check=check, note=note)
     item.user_properties.append(("pafot", sighting.label))
-    set_properties(item.user_properties, detail=detail)
-    return sighting
+    set_properties(item.user_properties, detail=sighting.detail)
 
 
 def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
@@ -254,11 +255,16 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
         )
     world = replace(replays.world_of(saved), hang_limit=ANY_TIME)  # type: ignore[type-var]
     # The first run finds the decision. The second one stops there, without a time limit.
-    run, verdict = replays.tried(saved, world, item.nodeid)
-    if not verdict.failed:
+    ended = replays.tried(saved, world, item.nodeid)
+    if isinstance(ended, Died):
+        raise ProcessLostError(
+            finding.scenario, pid=ended.pid, how=ended.end, is_hang=ended.is_hang
+        )
+    if not ended.verdict.failed:
         why = f"because the saved scenario {saved.id} passes"
         send(item, Note(f"{name} did not start a debugger, {why}"))
         return
+    run = ended.run
     number = deciding(run, finding.expect)
     if number is None:
         first, _, _ = run.explain().partition("\n")

@@ -402,7 +402,7 @@ class Reporter:
                 # A log keeps every line, and simplifying a finding takes hundreds of runs.
                 if self._live.rewrites or not event.phase:
                     self._live.show_progress(partial(terminal.progress_line, event))
-            case Seen() if event.observed.new == "new":
+            case Seen() if event.label == "new":
                 self._files.write_json()
                 if event.node_id not in self._expanded:
                     node = getattr(report, "node", None)
@@ -411,7 +411,7 @@ class Reporter:
                 self._live.erase_progress()
                 if not is_known and self._config.get_verbosity() >= 0:
                     self._live.write([terminal.found_line(event)])
-            case Seen() if event.observed.new == "no worse":
+            case Seen() if event.label == "no worse":
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
 
     def _expand(self, search_id: str) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 from pytest_pafot.corpus.writer import scenario_data
 from pytest_pafot.findings.finding import portable
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.findings.sighting import GROUPS, Observed, Seen, label
+from pytest_pafot.findings.sighting import GROUPS, UNREAD, FoundElsewhere, Seen
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import ADVICE, RESULTS, Session
@@ -36,9 +36,6 @@ from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_js
 
 # The version increases if a key is removed or gets a new meaning, but not if a key is added.
 VERSION = 5
-
-# The label of a saved scenario that could not be read or run.
-UNREAD = label(Observed(is_error=True))
 
 # Attributes of a search that only the terminal shows, because they may differ for the same seed.
 NOT_WRITTEN = ("seconds", "process_notes")
@@ -107,7 +104,7 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
     """
     if seen is None:
         return deepcopy(dict(FINDING)) | more  # a copy, because the caller may change its lists
-    finding, now, moment = seen.finding, seen.observed, seen.moment
+    finding, now, moment = seen.finding, seen.replay, seen.moment
     expect, found = finding.expect, finding.found
     entry = {
         **FINDING,
@@ -119,7 +116,7 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         "scenario": scenario_data(finding.scenario),
         "world": dict(finding.world),
         "headline": seen.headline,
-        "sentences": list(now.sentences),
+        "sentences": list(seen.sentences),
         "detail": seen.detail,
         "signature": finding.signature.told,
         "kind": finding.signature.slug,
@@ -138,12 +135,12 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         "against": expect.against,
         "flaky": finding.flaky,
         "unshrunk": seen.unshrunk,
-        "searched": now.searched,
-        "drawn": now.drawn,
-        "elsewhere": now.elsewhere,
+        "searched": getattr(now.search, "runs", 0),
+        "drawn": getattr(now.search, "drawn", 0),
+        "elsewhere": getattr(now.search, "id", ""),
         "reference_passes": now.reference_passes,
     }
-    if now.new:
+    if seen.is_new:
         entry["runs"] = 1 + seen.alike.runs
     if finding.rate is not None:
         entry["rate"] = {**asdict(finding.rate), "of": finding.drawn, "now": None}
@@ -319,11 +316,11 @@ def _search_lines(session: Session) -> Iterator[str]:
 
 
 def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
-    finding, now = seen.finding, seen.observed
+    finding, now = seen.finding, seen.replay
     parts = [plain(seen.on_search)]
     if seen.headline:
         parts.append(plain(seen.headline))
-    elif not now.elsewhere:
+    elif not isinstance(now.search, FoundElsewhere):
         parts.append(plain(seen.detail))
     if seen.headline and now.reference_passes is not None:
         parts.append("the reference passes" if now.reference_passes else "the reference also fails")

@@ -17,7 +17,7 @@ from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import described
-from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
+from pytest_pafot.findings.sighting import NOT_REPEATED, Beyond, Seen
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.trace import SURVIVES, WORLD_HANG, Outcome
 from pytest_pafot.report.session import UNNAMED_ADVICE, Session
@@ -95,7 +95,7 @@ def add_event(session: Session, event: Event, item: str = "", view: str = "") ->
         case Seen():
             earlier = session.seen.pop(event.node_id, None)
             # If the session also replays the new file of a search, the replay must not hide that it is unshrunk.
-            if earlier is not None and earlier.unshrunk and not event.observed.new:
+            if earlier is not None and earlier.unshrunk and not event.is_new:
                 event = replace(event, unshrunk=earlier.unshrunk)
             session.seen[event.node_id] = event
             session.items[event.node_id] = item
@@ -113,7 +113,7 @@ def add_event(session: Session, event: Event, item: str = "", view: str = "") ->
 def _with_alike(session: Session, find: Seen) -> Seen:
     # A search counts the runs that failed like its finding, so the number is known only at its end.
     known = session.seen.get(find.node_id)
-    if known is None or not known.observed.new:
+    if known is None or not known.is_new:
         return find
     session.seen[find.node_id] = replace(known, alike=find.alike)
     return session.seen[find.node_id]
@@ -151,7 +151,7 @@ def findings_of(session: Session) -> dict[str, Seen]:
 
 def replays_of(session: Session) -> list[Seen]:
     """Return the replays, in the order in which they ended."""
-    return [each for each in findings_of(session).values() if not each.observed.new]
+    return [each for each in findings_of(session).values() if not each.is_new]
 
 
 def failures_of(session: Session) -> list[Seen]:
@@ -234,7 +234,7 @@ def found_line(seen: Seen) -> str:
 
 def describe_failure(seen: Seen) -> list[str]:
     """Describe what happened, in the same words for all reports: headline, sentences and decision."""
-    expect, sentences = seen.finding.expect, seen.observed.sentences
+    expect, sentences = seen.finding.expect, seen.sentences
     first = seen.headline
     if sentences:
         for fault in AT_FAULT.values():  # The sentences state it.
@@ -278,7 +278,7 @@ def block_lines(
         width: width of the terminal in columns.
         is_whole: whether the block contains all known details.
     """
-    finding, moment, now = seen.finding, seen.moment, seen.observed
+    finding, moment, accepted = seen.finding, seen.moment, seen.replay.acceptance
     expect = finding.expect
     first, *others = describe_failure(seen)
     # A replay can fail in a different way than its file.
@@ -301,7 +301,7 @@ def block_lines(
     elif place:
         first = f"{place}: {first}"
     parts.append((0, first))
-    ranks = dict(zip(reversed(now.sentences[-2:]), (0, 9), strict=False))
+    ranks = dict(zip(reversed(seen.sentences[-2:]), (0, 9), strict=False))
     if moment is not None:
         ranks[moment.brief] = 7
     parts += [(ranks.get(text, 5), text) for text in others]
@@ -320,7 +320,7 @@ def block_lines(
     parts += [(4, f"{capitalised(text)}.") for text in _remarks_on(seen)]
     if is_whole:
         parts += [(0, f"It was simplified {how}.") for how in shrunk_lines(finding)]
-    if search is not None and now.new and search.runs > 1:
+    if search is not None and seen.is_new and search.runs > 1:
         like = "No other run"
         worst = seen.worst and f". The original run {seen.alike.severity}"
         if seen.alike.runs:
@@ -329,14 +329,14 @@ def block_lines(
         parts.append((10, f"{like} failed in the same way{worst}."))
     if expect.against:
         parts.append((1, f"The reference {expect.against} passes this scenario."))
-    if not now.new:
+    if not seen.is_new:
         detail = seen.detail and f" ({seen.detail})"
         parts.append((1, f"Result of the replay: {seen.label}{detail}."))
     elif seen.detail:
         what = "The saved file" if seen.path else "It was not saved:"
         parts.append((0, f"{what} {seen.detail}."))
-    if now.beyond:
-        accepts = f"The line `xfail:` in {seen.path} accepts `{expect.brief}`, but this failure differs: {now.beyond}"
+    if isinstance(accepted, Beyond):
+        accepts = f"The line `xfail:` in {seen.path} accepts `{expect.brief}`, but this failure differs: {accepted.why}"
         way_out = "Correct the policy, or delete the file, search again and accept the new finding"
         parts.append((0, f"The failure is not accepted. {accepts}. {way_out}."))
     room = ROOM - bool(again)  # The command has a line of its own.
@@ -532,9 +532,9 @@ def against_lines(session: Session, width: int = WIDTH) -> list[str]:
         return lines
     replays = replays_of(session)
     names = [each.against for each in session.ended]
-    names += [each.observed.against for each in replays]
+    names += [each.replay.against for each in replays]
     for name in filter(None, dict.fromkeys(names)):
-        own = [each for each in replays if each.observed.against == name]
+        own = [each for each in replays if each.replay.against == name]
         searches = [each for each in session.ended if each.against == name]
         counts = Counter(replay.compared for replay in own)
         found = sum(len(each.finds) for each in searches)
@@ -545,7 +545,7 @@ def against_lines(session: Session, width: int = WIDTH) -> list[str]:
             text += f", {elsewhere} in other scenarios"
         lines += wrapped_to(text, width)
         common = [each for each in own if each.compared == "common"]
-        changes = [(each.id, worsening(each.severity, each.observed.before)) for each in common]
+        changes = [(each.id, worsening(each.severity, each.replay.before)) for each in common]
         worse = [f"{id_} {change}" for id_, change in changes if change]
         if worse:
             count = f"{len(worse)} of {plural(len(common), 'unchanged failure')} became worse"

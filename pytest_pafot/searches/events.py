@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 from pytest_pafot.algorithms.evaluation import Event
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.sighting import FoundElsewhere, NotFound, Seen
 from pytest_pafot.findings.verdict import Signature
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import hits_more
@@ -217,16 +217,18 @@ def by_test(searches: Iterable[Search]) -> dict[str, Search]:
 
 def concluded(replay: Seen, searches: Mapping[str, Search]) -> Seen:
     """Return a replay. If it passes, add the conclusion from its test's search."""
-    search, now = searches.get(replay.test), replay.observed
+    search = searches.get(replay.test)
     # Only for a replay that passes, the search decides whether the failure is gone.
     if search is None or replay.label != "passes":
         return replay
-    if elsewhere := next(
-        (id_ for id_, shown in search.failures if shown == replay.finding.signature), ""
-    ):
-        return replace(replay, observed=replace(now, elsewhere=elsewhere))
+    for id_, shown in search.failures:
+        if shown == replay.finding.signature:
+            return replay.with_observed(search=FoundElsewhere(id=id_))
+    # A search that ended early says nothing about a failure that it did not find.
+    if not search.tested:
+        return replay
     drawn = min(search.random["runs"], search.tested)
-    return replace(replay, observed=replace(now, searched=search.tested, drawn=drawn))
+    return replay.with_observed(search=NotFound(runs=search.tested, drawn=drawn))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,7 +30,7 @@ from pytest_pafot.findings.finding import (
     signature_of_failure,
     speed_of,
 )
-from pytest_pafot.findings.sighting import Alike
+from pytest_pafot.findings.sighting import Alike, Died
 from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
@@ -239,7 +239,7 @@ def headline_of_death(death: LostRun) -> str:
     return f"{how}: the process that ran this scenario {death.end}"
 
 
-def cause_of_death(death: LostRun, way_out: str) -> str:
+def cause_of_death(death: LostRun | Died, way_out: str) -> str:
     """Return the likely cause of the loss of a process, with ``way_out`` as advice."""
     if death.end == OUT_OF_MEMORY:
         return "the ADS uses more and more memory, or needs more than its limit"

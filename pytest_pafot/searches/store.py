@@ -15,7 +15,7 @@ from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, wri
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.runner import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, portable, speed_of
-from pytest_pafot.findings.sighting import Observed, Seen
+from pytest_pafot.findings.sighting import Discovery, Finished, Judged, Seen
 from pytest_pafot.findings.verdict import PROCESS_CRASH, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -145,8 +145,7 @@ class Store:
                 assert_never(confirmation)
         for again in confirmation.again:
             # This process has no run of its own if another process found the failure.
-            observed = replace(seen.observed, run=again.run, verdict=again.verdict)
-            seen = replace(seen, observed=observed)
+            seen = seen.with_observed(ended=Finished(run=again.run, verdict=again.verdict))
         self.findings[seen.id] = seen
         return seen
 
@@ -219,8 +218,8 @@ class Store:
 
     def dismiss(self, sighting: Seen, why: str) -> Iterator[Seen]:
         """Remove the file of a finding that does not count, and report it."""
-        no_worse = replace(sighting.observed, new="no worse")
-        sighting = replace(sighting, observed=no_worse, detail=why, unshrunk="")
+        sighting = sighting.with_observed(label="no worse")
+        sighting = replace(sighting, detail=why, unshrunk="")
         if sighting.path:
             # A file that cannot be removed stays, and is reported with its path.
             with suppress(OSError):
@@ -335,12 +334,8 @@ class Store:
             headline=line,
             path="" if problem else relative(path, self.harness.root),
             detail=problem,
-            observed=Observed(
-                new="new",
-                fails=True,
-                verdict=verdict,
-                severity=verdict.severity,
-                has_drawn=has_drawn,
+            observed=Discovery(
+                ended=Judged(verdict=verdict), severity=verdict.severity, has_drawn=has_drawn
             ),
         )
 

@@ -1,6 +1,7 @@
 """The algorithms that can be named and those of users by class, random search, and whole generations."""
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -113,43 +114,35 @@ def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
     "search", [PafotSearch(), AvFuzzerSearch(), Fresh()], ids=lambda search: search.name
 )
 def test_calls_out_of_turn_and_other_evaluations_are_refused(search, make_evaluation):
+    for error, call in out_of_turn(search, make_evaluation).values():
+        with pytest.raises(error, match=r"^(ask|tell): "):
+            call()
+
+
+def out_of_turn(search, make_evaluation):
+    """Return calls of an algorithm that it refuses, with the types of the errors."""
     rng = np.random.default_rng(0)
-    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
-        search.tell(search.start(rng), [make_evaluation()], rng)
     state, asked = search.ask(search.start(rng), rng)
-    for scenarios in (asked, ()):
-        with pytest.raises(
-            RuntimeError,
-            match=f"ask: expected a call to tell .*, which returned {len(scenarios)} scenarios",
-        ):
-            search.ask(replace(state, asked=scenarios), rng)
     evaluations = [make_evaluation(scenario) for scenario in asked]
-    with pytest.raises(
-        ValueError, match="tell: expected 4 evaluations, one per scenario, but received 3"
-    ):
-        search.tell(state, evaluations[:3], rng)
-    with pytest.raises(
-        ValueError,
-        match=r"at index 0, but received the evaluation of .*\. Pass the evaluations in the order",
-    ):
-        search.tell(state, evaluations[::-1], rng)
+    ask, tell = partial(search.ask, rng=rng), partial(search.tell, rng=rng)
+    return {
+        "tell before ask": (RuntimeError, partial(tell, search.start(rng), evaluations)),
+        "ask twice": (RuntimeError, partial(ask, state)),
+        "ask twice for nothing": (RuntimeError, partial(ask, replace(state, asked=()))),
+        "too few": (ValueError, partial(tell, state, evaluations[:3])),
+        "another order": (ValueError, partial(tell, state, evaluations[::-1])),
+    }
 
 
-@table(("given", "message"), [
-    ("genetic", r"expected one of random, pafot, .*, but received 'genetic'\. Use module:Class"),
-    ("rand", r"received 'rand'. Did you mean 'random'\?"),
-    ("no_such:Search", r"expected a module that can be imported, received 'no_such:Search' \(ModuleNotFoundError"),
-    ("tests.algorithms.test_algorithms:Onw", r"expected a name in the module tests.algorithms.test_algorithms, "
-     r"received 'tests.algorithms.test_algorithms:Onw'\. Did you mean 'tests.algorithms.test_algorithms:Own'\?"),
-    ("builtins:<lambda>",
-     r"in the module builtins, received 'builtins:<lambda>'\. The module defines __build_class__, __import__"),
-    (RandomSearch(), r"expected one of random, .*, a class or module:Class, but received RandomSearch\(.* the class"),
-    (Nameless, r"expected a class with name, start, ask and tell, but Nameless lacks start, tell and name\."),
-    (GenerationalSearch, r"but GenerationalSearch lacks propose, start and name\."),
-    (Borrowed, r"expected a unique name for Borrowed, but received 'pafot'"),
-])  # fmt: skip
-def test_wrong_algorithm_error_names_what_is_expected(given, message):
-    with pytest.raises(ValueError, match=f"algorithm: .*{message}"):
+NO_ALGORITHMS = [
+    "genetic", "rand", "no_such:Search", "tests.algorithms.test_algorithms:Onw", "tests.helpers.searches:<lambda>",
+    RandomSearch(), Nameless, GenerationalSearch, Borrowed,
+]  # fmt: skip
+
+
+@table("given", NO_ALGORITHMS)
+def test_what_is_no_algorithm_is_refused(given):
+    with pytest.raises(ValueError, match=r"^algorithm: "):
         resolve_algorithm(given)
 
 
@@ -159,8 +152,7 @@ def test_option_offers_exactly_the_existing_algorithms():
 
 def test_custom_fitness_is_a_function_or_its_name(make_evaluation):
     assert resolve("tests.algorithms.test_algorithms:own_fitness") == resolve(own_fitness)
-    told = r"fitness: expected a name in the module .*, received .*\. Did you mean '.*:own_fitness'"
-    with pytest.raises(FitnessError, match=told):
+    with pytest.raises(FitnessError, match=r"^fitness: .*:own_fitness'"):
         resolve("tests.algorithms.test_algorithms:own_fitnes")
 
 
@@ -197,7 +189,5 @@ def test_a_new_best_is_reported_once(make_evaluation):
 
 
 def test_an_empty_population_is_refused():
-    with pytest.raises(
-        ValueError, match="population: expected a whole number from 1 to 10000, but received 0"
-    ):
+    with pytest.raises(ValueError, match=r"^population: "):
         Fresh(population=0)

@@ -149,13 +149,25 @@ class TestEveryNamedFitness:
         assert fitness(following()) == resolve(name)(following())
 
 
+def broken(trace):
+    return 1 / 0
+
+
+NO_NUMBERS = [None, "1", [1], np.array([1.0, 2.0]), 1j]
+NO_FITNESSES = {
+    "a misspelt name": "papr",
+    "a measure without a worse side": "ego.lane",
+    "a number": 3,
+    "nothing": None,
+    "a list": ["default"],
+    "a function of two arguments": lambda trace, limit: 0.0,
+}
+
+
 class TestResolve:
     def test_default_is_the_weighted_one(self):
-        assert (
-            resolve()(following())
-            == resolve("default")(following())
-            == default_fitness(following())
-        )
+        for fitness in (resolve(), resolve("default")):
+            assert fitness(following()) == default_fitness(following())
 
     @table("value", [3, 2.5, True, np.float32(0.5), np.bool_(True), np.int64(7), math.inf])
     def test_a_function_may_return_any_real_number(self, value):
@@ -174,49 +186,20 @@ class TestResolve:
     def test_nan_of_a_function_is_last(self):
         assert resolve(lambda trace: math.nan)(following()) == -math.inf
 
-    @table("value", [None, "1", [1], np.array([1.0, 2.0]), 1j])
-    def test_a_function_that_returns_no_number_is_explained(self, value):
-        def odd(trace):
-            return value
-
-        with pytest.raises(
-            FitnessError,
-            match=r"expected odd to return a number, but it returned .*\. Return a float",
-        ):
-            resolve(odd)(following())
-
-    def test_function_that_raises_is_explained_with_its_cause(self):
-        def broken(trace):
-            return 1 / 0
-
-        with pytest.raises(
-            FitnessError, match=r"broken .* raised ZeroDivisionError: division by zero"
-        ) as caught:
+    def test_function_that_raises_is_the_cause_of_the_error(self):
+        with pytest.raises(FitnessError) as caught:
             resolve(broken)(following())
         assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
-    def test_a_misspelt_name_is_answered_with_the_nearest(self):
-        with pytest.raises(
-            FitnessError,
-            match=r"expected 'default', 'paper', .* or a function .* Did you mean 'paper'",
-        ):
-            resolve("papr")
+    @table("value", NO_NUMBERS)
+    def test_a_function_that_returns_no_number_is_refused(self, value):
+        with pytest.raises(FitnessError):
+            resolve(lambda trace: value)(following())
 
-    @table("value", [3, None, ["default"]])
-    def test_anything_else_is_refused(self, value):
-        with pytest.raises(
-            FitnessError, match=r"expected 'default', 'paper', .* or a function of a Trace"
-        ):
+    @table("value", NO_FITNESSES.values())
+    def test_anything_else_is_refused_before_any_run(self, value):
+        with pytest.raises(FitnessError):
             resolve(value)
-
-    def test_function_of_two_arguments_is_refused_early(self):
-        def two(trace, limit):
-            return 0.0
-
-        with pytest.raises(
-            FitnessError, match=r"called with one Trace, but received two\(trace, limit\).*defaults"
-        ):
-            resolve(two)
 
 
 class TestMeasures:
@@ -227,24 +210,16 @@ class TestMeasures:
         assert resolve("npcs.gap")(far) == pytest.approx(-35 / 36)
 
     def test_two_sided_measure_is_worse_far_from_zero(self):
-        brakes = trace_of(
-            vehicle(np.zeros(3), acceleration=np.array([0.0, -1.0, -1.0])), vehicle(50)
-        )
+        ego = vehicle(np.zeros(3), acceleration=np.array([0.0, -1.0, -1.0]))
+        brakes = trace_of(ego, vehicle(50))
         assert resolve("ego.jerk")(brakes) == pytest.approx(15 / 16)
 
     def test_missing_values_rank_lowest_but_above_nan(self):
         alone = trace_of(vehicle(0, speed=10), vehicle(-20))
         unknown = trace_of(vehicle(0, speed=math.nan), vehicle(20))
         assert resolve("headway")(alone) == -1
-        assert (
-            resolve("headway")(unknown)
-            == resolve("headway")(crash(outcome=Outcome.INVALID))
-            == -math.inf
-        )
-
-    def test_measure_without_a_worse_side_is_no_fitness(self):
-        with pytest.raises(FitnessError, match=r"received 'ego\.lane'"):
-            resolve("ego.lane")
+        for run in (unknown, crash(outcome=Outcome.INVALID)):
+            assert resolve("headway")(run) == -math.inf
 
 
 def steered(fitness):
@@ -258,18 +233,16 @@ def steered(fitness):
 
 
 REAR_END = collision_at(90, side="rear", ego_speed=20, npc_speed=30)
-FITNESSES = [
-    "default",
-    "paper",
-    lambda trace: -trace.duration,
-    lambda trace: 0.0,
-    lambda trace: 1e300,
-]
+FITNESSES = {
+    "default": "default",
+    "paper": "paper",
+    "quick": lambda trace: -trace.duration,
+    "constant": lambda trace: 0.0,
+    "huge": lambda trace: 1e300,
+}
 
 
-@pytest.mark.parametrize(
-    "fitness", FITNESSES, ids=["default", "paper", "quick", "constant", "huge"]
-)
+@pytest.mark.parametrize("fitness", FITNESSES.values(), ids=FITNESSES)
 class TestSteered:
     def rank(self, fitness):
         return steered(resolve(fitness))

@@ -132,11 +132,8 @@ def test_first_reached_limit_of_runs_or_generations_ends(cheap_world):
         list(run_plan(Fresh(), cheap_world(), generations=2, runs=runs, seed=1))[-1]
         for runs in (7, 8, 9)
     ]
-    assert [(end.reason, end.simulated) for end in ends] == [
-        ("runs", 7),
-        ("generations", 8),
-        ("generations", 8),
-    ]
+    expected = [("runs", 7), ("generations", 8), ("generations", 8)]
+    assert [(end.reason, end.simulated) for end in ends] == expected
 
 
 @table("events_before", [0, 1, 2, 7, 30])
@@ -168,7 +165,7 @@ def test_what_the_evaluation_raises_reaches_the_consumer(cheap_world):
 
 def test_an_evaluation_of_another_scenario_is_refused(make_evaluation):
     plan = run_plan(Fresh(), lambda scenario: make_evaluation(), generations=1, seed=1)
-    with pytest.raises(ValueError, match="expected an evaluation of"):
+    with pytest.raises(ValueError, match="an evaluation of"):
         list(plan)
 
 
@@ -205,13 +202,10 @@ def test_local_generations_are_added_after_the_last_generation(make_evaluation):
     assert events[-1].generations == 4
 
 
-@table(("arguments", "message"), [
-    ({"generations": 0}, "generations: expected a whole number, at least 1, but received 0"),
-    ({"seed": -1}, "seed: expected a whole number, at least 0"),
-])  # fmt: skip
-def test_arguments_out_of_range_are_refused_early(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        Plan(PafotSearch(), **({"generations": 1, "seed": 1} | arguments))
+@table(("name", "value"), [("generations", 0), ("seed", -1)])
+def test_arguments_out_of_range_are_refused_early(name, value):
+    with pytest.raises(ValueError, match=f"^{name}: "):
+        Plan(PafotSearch(), **({"generations": 1, "seed": 1} | {name: value}))
 
 
 def best_after(algorithm, evaluate, *, simulations, seed):

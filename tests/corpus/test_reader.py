@@ -1,7 +1,7 @@
 import contextlib
 import os
-from dataclasses import replace
 from datetime import date
+from pathlib import Path
 
 import pytest
 import yaml
@@ -59,13 +59,15 @@ def fault(path, content):
 
 
 TAKEOVER = "takeover: 1.25"
+XFAIL = "# xfail: {reason, until}"
 WORLD = TEXT[TEXT.index("world:") : TEXT.index("\n# xfail")]
 CHAIN = "[{cell: front-left, speed: 25.0}, {cell: front, speed: 8.0}]"
 
 
 def swapped(old, new):
-    assert TEXT.count(old) == 1
-    return TEXT.replace(old, new)
+    text = TEXT if old in TEXT else text_of(SHRUNK)
+    assert text.count(old) == 1
+    return text.replace(old, new)
 
 
 @table("ends", ["\n", "\r\n"])
@@ -95,17 +97,10 @@ def test_name_unfit_for_a_node_id_is_refused(path, name):
     assert (error.received, error.fix) == (repr(name), "rename the file")
 
 
-def test_error_gives_place_expected_value_and_remedy(path):
-    error = fault(path, swapped("{cell: front, speed: 8.0}", "{cell: rear-right, speed: 8.0}"))
-    assert (error.line, error.field) == (6, "scenario.npcs.NPC 0[1].cell")
-    assert str(error) == (
-        f"{path}:6: scenario.npcs.NPC 0[1].cell: expected cell 1 again, or one of the adjacent "
-        "cells 2 and 8, received cell 5. Correct the value, or delete the file"
-    )
-
-
-@table(("old", "new", "line", "field"), [
+MOMENT = "time: 6.6, lanes_to_right: 0, ego_speed: 6.7, npc_speed: 0.8"
+BROKEN = [
     ("pafot: 3", "pafot: 2", 1, "pafot"),
+    ("pafot: 3", "pafot: 4\nnew_things: []", 1, "pafot"),
     ("pafot: 3", "pafot: 3.0", 1, "pafot"),
     ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test:", 11, "test"),
     ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: ' '", 11, "test"),
@@ -147,41 +142,57 @@ def test_error_gives_place_expected_value_and_remedy(path):
     ("generation: 17", "generation: -1", 9, "found.generation"),
     ("numpy: 2.4.6", "numpy: 2.4", 10, "found.versions.numpy"),
     ("algorithm: pafot", "algoritm: pafot", 9, "found.algoritm"),
-    ("# xfail: {reason, until}", "xfail:", 16, "xfail"),
-    ("# xfail: {reason, until}", "xfail: ''", 16, "xfail"),
-    ("# xfail: {reason, until}", "xfails: 'planner issue 12'", 16, "xfails"),
-    ("# xfail: {reason, until}", "xfail: {until: 2027-01-31}", 16, "xfail"),
-    ("# xfail: {reason, until}", "xfail: {reason: '', until: 2027-01-31}", 16, "xfail.reason"),
-    ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-02-30}", 16, "xfail.until"),
-    ("# xfail: {reason, until}", "xfail: {reason: slow, til: 2027-01-31}", 16, "xfail.til"),
-    ("# xfail: {reason, until}", "xfail: {reason: 2027-01-31}", 16, ""),
-    ("# xfail: {reason, until}", "xfail: {reason: slow, until: [2027-01-31]}", 16, ""),
-    ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-01-31, flaky: true}", 16, "xfail.flaky"),
-    ("# xfail: {reason, until}", "xfail: {reason: slow}", 16, "xfail"),
-    ("# xfail: {reason, until}", "xfail: slow", 16, "xfail"),
+    (XFAIL, "xfail:", 16, "xfail"),
+    (XFAIL, "xfail: ''", 16, "xfail"),
+    (XFAIL, "xfails: 'planner issue 12'", 16, "xfails"),
+    (XFAIL, "xfail: {until: 2027-01-31}", 16, "xfail"),
+    (XFAIL, "xfail: {reason: '', until: 2027-01-31}", 16, "xfail.reason"),
+    (XFAIL, "xfail: {reason: slow, until: 2027-02-30}", 16, "xfail.until"),
+    (XFAIL, "xfail: {reason: slow, til: 2027-01-31}", 16, "xfail.til"),
+    (XFAIL, "xfail: {reason: 2027-01-31}", 16, ""),
+    (XFAIL, "xfail: {reason: slow, until: [2027-01-31]}", 16, ""),
+    (XFAIL, "xfail: {reason: slow, until: 2027-01-31, flaky: true}", 16, "xfail.flaky"),
+    (XFAIL, "xfail: {reason: slow}", 16, "xfail"),
+    (XFAIL, "xfail: slow", 16, "xfail"),
     ("side: front", "side: front, closing_speed: -1.0", 8, "expect.closing_speed"),
-    ("# xfail: {reason, until}", "xfail: 2027-01-31", 16, ""),
-])  # fmt: skip
+    (XFAIL, "xfail: 2027-01-31", 16, ""),
+    (XFAIL, "zzz: 1", 16, "zzz"),
+    ("found: {seed: 1234, generation: 17, algorithm: pafot,\n        versions", "# versions", 1, ""),
+    ("seed: 7", "seed: 7\n  traffic: null", 4, "scenario.traffic"),
+    *((TAKEOVER, f"{TAKEOVER}, {more}", 8, f"expect.{field}") for more, field in [
+        ("fault: entered-lane, mistake: moved", "mistake"),
+        ("fault: braked-for-nothing, mistake: moved-in-front", "mistake"),
+        ("situation: none", "situation"),
+        (f"situation: {{npc: 0, gap: 15.0, {MOMENT}}}", "situation"),
+        (f"situation: {{npc: 1, gap: 15.0, place: ahead, {MOMENT}}}", "situation.npc"),
+        (f"situation: {{npc: 0, gap: .nan, place: ahead, {MOMENT}}}", "situation.gap"),
+        (f"situation: {{npc: 0, gap: 15.0, place: front, {MOMENT}}}", "situation.place"),
+    ]),
+    *(("\n  npcs:", f"\n  vehicles: {given}\n  npcs:", 5, f"scenario.vehicles{field}") for given, field in [
+        ("{NPC 0: lorry}", ".NPC 0"),
+        ("[truck]", ""),
+        ("{NPC 1: truck}", ".NPC 1"),
+        ("{NPC 0: {name: bus, length: 12.0}}", ".NPC 0"),
+        ("{NPC 0: {name: bus, length: 30.0, width: 2.5}}", ".NPC 0.length"),
+        ("{NPC 0: {name: bus, length: 9.0, width: 2.5, height: 3.0}}", ".NPC 0.height"),
+    ]),
+    ("rollouts: 41", "rollouts: many", 12, "shrunk.rollouts"),
+    ("is_minimal: false", "is_minimal: 0", 12, "shrunk.is_minimal"),
+    ('flaky: "running it again gave a different run"', 'flaky: " "', 14, "flaky"),
+    ("failing: 14, runs", "failing: 21, runs", 13, "rate.failing"),
+    ("runs: 20", "runs: 0", 13, "rate.runs"),
+    ("latency: 0.3", "latency: -0.3", 11, "perception.latency"),
+    # keys with defaults only in the code are required, too
+    ("responsibility: ego, ", "", 7, "expect"),
+    (",\n        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}", "", 9, "found"),
+    (", is_minimal: false", "", 12, "shrunk"),
+]  # fmt: skip
+
+
+@table(("old", "new", "line", "field"), BROKEN)
 def test_each_broken_rule_is_reported_at_its_place(path, old, new, line, field):
     error = fault(path, swapped(old, new))
     assert (error.line, error.field) == (line, field)
-
-
-MOMENT = "time: 6.6, lanes_to_right: 0, ego_speed: 6.7, npc_speed: 0.8"
-
-
-@table(("more", "field"), [
-    ("fault: entered-lane, mistake: moved", "mistake"),
-    ("fault: braked-for-nothing, mistake: moved-in-front", "mistake"),
-    ("situation: none", "situation"),
-    (f"situation: {{npc: 0, gap: 15.0, {MOMENT}}}", "situation"),
-    (f"situation: {{npc: 1, gap: 15.0, place: ahead, {MOMENT}}}", "situation.npc"),
-    (f"situation: {{npc: 0, gap: .nan, place: ahead, {MOMENT}}}", "situation.gap"),
-    (f"situation: {{npc: 0, gap: 15.0, place: front, {MOMENT}}}", "situation.place"),
-])  # fmt: skip
-def test_each_further_part_of_an_expectation_is_read_strictly(path, more, field):
-    error = fault(path, swapped(TAKEOVER, f"{TAKEOVER}, {more}"))
-    assert (error.line, error.field) == (8, f"expect.{field}")
 
 
 @table(
@@ -201,74 +212,41 @@ def test_word_with_two_possible_readings_is_refused(path, word):
 
 @table("day", ["2027-01-31", "'2027-01-31'", '"2027-01-31"'])
 def test_last_xfail_day_is_read_quoted_or_unquoted(path, day):
-    path.write_text(
-        swapped("# xfail: {reason, until}", f"xfail: {{reason: issue 12, until: {day}}}")
-    )
+    path.write_text(swapped(XFAIL, f"xfail: {{reason: issue 12, until: {day}}}"))
     finding = load(path)
     assert (finding.xfail, finding.xfail_until) == ("issue 12", date(2027, 1, 31))
-    assert finding.accepted == "issue 12, until 2027-01-31"
 
 
-XFAIL = "# xfail: {reason, until}"
+NO_DOCUMENTS = [
+    (b"", None),
+    (b" \r\n\n", None),
+    (b"# only a comment\n", 2),
+    (b"pafot: 1\ntest: caf\xe9\n", 2),
+    ("pafot: 1".encode("utf-16"), 1),
+    (b"pafot: 1\ntest: a\x00b\n", 2),
+    (b"pafot: 1\ntest: {a\n", 3),
+    (b"pafot: 1\n<<<<<<< HEAD\ntest: a\n=======\n", 3),
+    (b"pafot: 1\n---\npafot: 1\n", 2),
+    (b"just text", 1),
+    (b"- a\n- b\n", 1),
+    (b"test: a\n", 1),
+    (b"pafot: 1\npafot: 1\n", 2),
+    (b"pafot: 1\n1: 2\n", 2),
+    (b"pafot: 1\ntest: 2026-11-20\n", 2),
+    (b"pafot: 1\n<<: {a: 1}\n", 2),
+    (b"pafot: 1\ntest: " + b"9" * 5000 + b"\n", 2),
+    (b"pafot: 1\ntest: *a\n", 2),
+    (b"pafot: 1\ntest: &a 1\n", 2),
+    (b"pafot: 1\ntest: !!str 1\n", 2),
+    (b"pafot: 1\ntest: !!python/object/apply:os.system ['true']\n", 2),
+    ((TEXT + "#" * 256 * 1024).encode(), None),
+    (f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 7\n".encode(), None),
+]  # fmt: skip
 
 
-@table(("content", "told"), [
-    (swapped(XFAIL, "xfail: {reason: slow, until: 2027-02-30}"),
-     ":16: xfail.until: expected a valid date in the form YYYY-MM-DD, received '2027-02-30'. "
-     "Write a date such as 2027-01-31"),
-    # the key is named before its date
-    (swapped(XFAIL, "xfail: {reason: slow, untill: 2027-01-31}"),
-     ":16: xfail.untill: expected the key 'reason' or 'until', received 'untill'. Did you mean 'until'?"),
-    (swapped(XFAIL, "zzz: 1"), "'flaky' or 'xfail', received 'zzz'. Rename or remove the key"),
-    (TEXT.replace("found: ", "# ").replace("        versions", "# versions"),
-     "expected the key 'found', received only 'pafot', 'scenario', 'expect', 'test' and 'world'"),
-    # first
-    ("pafot: 4\nnew_things: []\n", "received 4. Install the version of pytest-pafot that wrote this file"),
-    (swapped("seed: 7", "seed: 7\n  traffic: null"),
-     "scenario.traffic: expected 'paper', 'hostile', 'assertive' or 'everyday', received null"),
-    ("pafot: 1\ntest: *a\n", "'a'"),  # an alias
-    (TEXT + "#" * 256 * 1024, "at most 256 KiB"),
-    (f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 7\n",
-     "received a Git LFS pointer. Fetch the file with `git lfs pull`"),
-])  # fmt: skip
-def test_error_says_what_is_wrong_and_what_to_write(path, content, told):
-    assert told in str(fault(path, content))
-
-
-@table(("content", "line", "expected"), [
-    (b"", None, "a saved scenario"),
-    (b" \r\n\n", None, "a saved scenario"),
-    (b"# only a comment\n", None, "exactly one YAML document"),
-    (b"pafot: 1\ntest: caf\xe9\n", 2, "text in UTF-8"),
-    ("pafot: 1".encode("utf-16"), 1, "text in UTF-8"),
-    (b"pafot: 1\ntest: a\x00b\n", 2, "printable text"),
-    (b"pafot: 1\ntest: {a\n", None, "valid YAML"),
-    (b"pafot: 1\n<<<<<<< HEAD\ntest: a\n=======\n", None, "valid YAML"),
-    (b"pafot: 1\n---\npafot: 1\n", 2, "exactly one YAML document"),
-    (b"just text", 1, "a mapping (key: value)"),
-    (b"- a\n- b\n", 1, "a mapping (key: value)"),
-    (b"test: a\n", 1, "the key 'pafot' with the value 3"),
-    (b"pafot: 1\npafot: 1\n", 2, "each key only once"),
-    (b"pafot: 1\n1: 2\n", 2, "strings as keys"),
-    (b"pafot: 1\ntest: 2026-11-20\n", 2, "a number, a string, true, false or null"),
-    (b"pafot: 1\n<<: {a: 1}\n", 2, "a number, a string, true, false or null"),
-    (b"pafot: 1\ntest: " + b"9" * 5000 + b"\n", 2, "a number that can be read"),
-])  # fmt: skip
-def test_what_is_no_plain_document_is_refused(path, content, line, expected):
-    error = fault(path, content)
-    assert error.expected == expected
-    if line is not None:
-        assert error.line == line
-
-
-@table(("value", "expected"), [
-    ("&a 1", "a value without aliases or anchors"),
-    ("!!str 1", "a value without a tag"),
-    ("!!python/object/apply:os.system ['true']", "a value without a tag"),
-])  # fmt: skip
-def test_aliases_anchors_and_tags_are_refused(path, value, expected):
-    error = fault(path, f"pafot: 1\ntest: {value}\n")
-    assert (error.line, error.expected) == (2, expected)
+@table(("content", "line"), NO_DOCUMENTS)
+def test_what_is_no_plain_document_is_refused(path, content, line):
+    assert fault(path, content).line == line
 
 
 def test_billion_laughs_file_is_refused_without_expansion(path):
@@ -277,14 +255,16 @@ def test_billion_laughs_file_is_refused_without_expansion(path):
     ]
     text, errors = "pafot: 1\n" + "\n".join(laughs), []
     assert calls_in(lambda: errors.append(fault(path, text))) < 10_000
-    assert errors[0].expected == "a value without aliases or anchors"
+    assert errors[0].expected == fault(path, "a: &a 1").expected
 
 
 @pytest.mark.parametrize("opening", ["[", "{a: ", "- ", "? "])
 def test_nesting_without_end_is_refused(path, opening):
-    text, errors = "pafot: 1\nworld: \n  " + opening * (40_000 // len(opening)), []
-    assert calls_in(lambda: errors.append(fault(path, text))) < 40_000
-    assert errors[0].expected in ("at most 20 levels of nesting", "valid YAML", "strings as keys")
+    text = "pafot: 1\nworld: \n  " + opening * (40_000 // len(opening))
+    assert calls_in(lambda: fault(path, text)) < 40_000
+
+
+NESTED = f"pafot: 3\nworld: {'[' * 30}{']' * 30}\n"
 
 
 @table("levels", range(14, 20))
@@ -295,7 +275,7 @@ def test_deeply_nested_world_is_refused_beyond_a_limit(path, levels):
     if levels < 16:
         assert parsed(path, text.encode()).world["kind"] == "own"
     else:
-        assert "levels of nesting" in str(fault(path, text))
+        assert "levels of nesting" in fault(path, text).expected
 
 
 def test_too_many_values_are_refused_at_their_line(path, monkeypatch):
@@ -303,13 +283,13 @@ def test_too_many_values_are_refused_at_their_line(path, monkeypatch):
     monkeypatch.setattr(reader, "MOST_VALUES", 400)
     for values in ("1," * 400, "[]," * 400, "{a: 1}," * 200):
         error = fault(path, f"pafot: 3\nworld: {{kind: own, data: [{values}]}}\n")
-        assert (error.expected, error.line) == ("at most 400 values", 2)
+        assert ("400" in error.expected, error.line) == (True, 2)
 
 
 def test_a_sparse_file_of_any_size_costs_nothing(path):
     with path.open("wb") as file:
         file.truncate(1 << 40)
-    with pytest.raises(CorpusError, match="at most 256 KiB"):
+    with pytest.raises(CorpusError, match="256 KiB"):
         load(path)
 
 
@@ -319,15 +299,14 @@ def loop(path):
     other.symlink_to(path)
 
 
+NO_FILES = {"nothing": Path, "loop of links": loop, "folder": Path.mkdir, "pipe": os.mkfifo}
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-@pytest.mark.parametrize(("make", "told"), [
-    (lambda path: None, "a regular file that can be read"), (loop, "a regular file that can be read"),
-    (lambda path: path.mkdir(), "received the error 'Is a folder'"),
-    (os.mkfifo, "received the error 'Is a special file'"),
-], ids=["nothing", "loop of links", "folder", "pipe"])  # fmt: skip
-def test_what_is_no_file_is_a_corpus_error_and_does_not_block(path, make, told):
+@pytest.mark.parametrize("make", NO_FILES.values(), ids=NO_FILES)
+def test_what_is_no_file_is_a_corpus_error_and_does_not_block(path, make):
     make(path)
-    with pytest.raises(CorpusError, match=told):
+    with pytest.raises(CorpusError):
         load(path)
 
 
@@ -374,10 +353,7 @@ def place(tmp_path):
 def refused(place):
     with pytest.raises(CorpusError) as caught:
         load(place)
-    assert str(caught.value) == (
-        f"{place}: expected a file inside the corpus, received a link to a file outside it. Replace the link with the "
-        "file itself, or delete the link"
-    )
+    assert (caught.value.path, "link" in caught.value.received) == (place, True)
 
 
 @links
@@ -476,72 +452,26 @@ def test_file_contains_perception_shrinking_and_flakiness(path):
     assert load(path) == SHRUNK
 
 
-@pytest.mark.parametrize(("given", "field", "expected"), [
-    ("{NPC 0: lorry}", "vehicles.NPC 0", "'car', 'van', 'truck' or 'motorcycle'"),
-    ("[truck]", "vehicles", "a mapping (key: value)"),
-    ("{NPC 1: truck}", "vehicles.NPC 1", "the key 'NPC 0'"),
-    ("{NPC 0: {name: bus, length: 12.0}}", "vehicles.NPC 0", "the key 'width'"),
-    ("{NPC 0: {name: bus, length: 30.0, width: 2.5}}", "vehicles.NPC 0.length", "a number from 1 to 20"),
-    ("{NPC 0: {name: bus, length: 9.0, width: 2.5, height: 3.0}}", "vehicles.NPC 0.height", "the key 'name', 'length"),
-])  # fmt: skip
-def test_vehicles_are_read_strictly(path, given, field, expected):
-    error = fault(path, swapped("\n  npcs:", f"\n  vehicles: {given}\n  npcs:"))
-    assert error.field == f"scenario.{field}"
-    assert error.expected.startswith(expected)
-
-
 def test_the_egos_own_vehicle_is_read_strictly(path):
     for ego in (TRUCK, VehicleType(name="bus", length=11.5, width=2.5, braking=7.5)):
-        path.write_text(text_of(replace(plain_finding(), world=Highway(ego=ego).to_dict())))
+        path.write_text(text_of(plain_finding(world=Highway(ego=ego).to_dict())))
         assert from_dict(load(path).world) == Highway(ego=ego)
-    path.write_text(
-        text_of(
-            replace(
-                plain_finding(),
-                world={**Highway().to_dict(), "ego": {"name": "bus", "length": 12.0}},
-            )
-        )
-    )
-    with pytest.raises(CorpusError, match=r"world.ego: expected the key 'width'"):
-        load(path)
+    world = {**Highway().to_dict(), "ego": {"name": "bus", "length": 12.0}}
+    assert fault(path, text_of(plain_finding(world=world))).field == "world.ego"
 
 
-@pytest.mark.parametrize(("old", "new", "field"), [
-    ("rollouts: 41", "rollouts: many", "shrunk.rollouts"),
-    ("is_minimal: false", "is_minimal: 0", "shrunk.is_minimal"),
-    ('flaky: "running it again gave a different run"', 'flaky: " "', "flaky"),
-    ("failing: 14, runs", "failing: 21, runs", "rate.failing"),
-    ("runs: 20", "runs: 0", "rate.runs"),
-    ("latency: 0.3", "latency: -0.3", "perception.latency"),
-])  # fmt: skip
-def test_error_in_a_later_section_names_its_field(path, old, new, field):
-    assert text_of(SHRUNK).count(old) == 1
-    assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
+LOCATED = [
+    ("scenario", ScenarioError("ego_speed", "less", "22"), 4, "scenario.ego.speed"),
+    ("scenario", ScenarioError("npcs[0][1].speed", "less", "8", "write 7.9"), 6, "scenario.npcs.NPC 0[1].speed"),
+    ("world", WorldError("lanes", "more", "4"), 12, "world.lanes"),
+    ("world", WorldError("limits.jerk", "more", "1"), 14, "world.limits.jerk"),
+    ("world", WorldError("merge-v0", "a road", "none"), 12, "world"),
+    ("world", TypeError("no road, received none"), 12, "world"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("left_out", "key", "field"), [
-    ("responsibility: ego, ", "responsibility", "expect"),
-    (",\n        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}", "versions", "found"),
-    (", is_minimal: false", "is_minimal", "shrunk"),
-])  # fmt: skip
-def test_key_with_a_default_only_in_code_is_required(path, left_out, key, field):
-    assert text_of(SHRUNK).count(left_out) == 1
-    error = fault(path, text_of(SHRUNK).replace(left_out, ""))
-    assert (error.field, error.expected) == (field, f"the key '{key}'")
-
-
-@table(("part", "error", "line", "field", "told"), [
-    ("scenario", ScenarioError(field="ego_speed", expected="less", received="22"), 4, "scenario.ego.speed",
-     "expected less, received 22. Correct the value, or delete the file"),
-    ("scenario", ScenarioError(field="npcs[0][1].speed", expected="less", received="8", fix="write 7.9"), 6,
-     "scenario.npcs.NPC 0[1].speed", "expected less, received 8. Write 7.9"),
-    ("world", WorldError(field="lanes", expected="more", received="4"), 12, "world.lanes", "received 4. Correct the v"),
-    ("world", WorldError(field="limits.jerk", expected="more", received="1"), 14, "world.limits.jerk", "more"),
-    ("world", WorldError(field="merge-v0", expected="a road", received="none"), 12, "world", "expected a road"),
-    ("world", TypeError("no road, received none"), 12, "world", "expected a world that can run, received no road"),
-])  # fmt: skip
-def test_errors_of_a_world_are_given_a_line(path, part, error, line, field, told):
+@table(("part", "error", "line", "field"), LOCATED)
+def test_errors_of_a_world_are_given_a_line(path, part, error, line, field):
     path.write_text(TEXT)
     fault = located(path, part, error)
     assert (fault.line, fault.field) == (line, field)
-    assert told in str(fault)

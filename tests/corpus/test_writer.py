@@ -82,9 +82,7 @@ def test_rewrite_of_a_vanished_file_creates_it_again(path):
 def test_unreadable_file_is_never_overwritten_and_its_name_not_reused(path):
     path.parent.mkdir(parents=True)
     path.write_text("the user is editing this")
-    with pytest.raises(
-        CorpusWriteError, match="Restore the file from version control, or delete it"
-    ):
+    with pytest.raises(CorpusWriteError):
         rewrite(path, plain_finding())
     assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-2"
     assert path.read_text() == "the user is editing this"
@@ -134,23 +132,19 @@ def test_finding_too_large_to_read_back_is_refused(path):
     assert not path.exists()
 
 
-@pytest.mark.parametrize(("number", "way_out"), [
-    (errno.ENOSPC, "Free some space on the disk, or choose another folder with --pafot-corpus"),
-    (errno.EROFS, "Mount the file system with write access"),
-    (errno.EACCES, "Make the folder writable"),
-    (errno.ENAMETOOLONG, "Shorten the name of a folder, of the test or of a parameter"),
-    (errno.ELOOP, "Remove the link that points to itself"),
-    (errno.EIO, "Check the disk and the network"),
-])  # fmt: skip
-def test_failed_write_suggests_a_remedy_for_its_cause(path, monkeypatch, number, way_out):
+FAILURES = [
+    errno.ENOSPC, errno.EROFS, errno.EACCES, errno.ENAMETOOLONG, errno.ELOOP, errno.EIO,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("number", FAILURES)
+def test_failed_write_names_its_cause_and_leaves_nothing(path, monkeypatch, number):
     def fail(descriptor):
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(CorpusWriteError, match=re.escape(way_out)) as caught:
+    with pytest.raises(CorpusWriteError, match=re.escape(os.strerror(number))):
         write(path, plain_finding())
-    assert os.strerror(number) in str(caught.value)
-    assert ("writable" in str(caught.value)) == (number in (errno.EACCES, errno.EPERM))
     assert list(path.parent.iterdir()) == []
 
 

@@ -65,42 +65,35 @@ def test_what_is_not_the_default_is_written_and_read_back(finding, line):
     assert parsed(Path(f"{finding.id}.pafot.yaml"), text.encode()) == finding
 
 
-def test_npcs_and_cells_have_names():
-    chains = [[PositionInstruction(Cell(cell), 20.0) for cell in row] for row in ((8, 1), (4, 5))]
-    assert text_of(plain_finding(scenario=Scenario(npcs=chains))).splitlines()[4:7] == [
-        "  npcs:",
-        "    NPC 0: [{cell: left, speed: 20.0}, {cell: front-left, speed: 20.0}]",
-        "    NPC 1: [{cell: right, speed: 20.0}, {cell: rear-right, speed: 20.0}]",
-    ]
+CRASH = Expect(
+    failure="ZeroDivisionError",
+    message="division by zero",
+    assertion="division by zero",
+    outcome=Outcome.ADS_ERROR,
+    time=3.2,
+    traceback=TRACEBACK,
+)
+WITHOUT_COLLISION = Expect(
+    failure="AssertionError",
+    assertion="run.min_ttc > N",
+    outcome=Outcome.COMPLETED,
+    time=31.2,
+    npc=1,
+    cell=Cell.LEFT,
+)
+NAMED = Scenario(
+    npcs=[[PositionInstruction(Cell(cell), 20.0) for cell in row] for row in ((8, 1), (4, 5))]
+)
 
 
-def test_ads_traceback_is_written_as_literal_block():
-    expect = Expect(
-        failure="ZeroDivisionError",
-        message="division by zero",
-        assertion="division by zero",
-        outcome=Outcome.ADS_ERROR,
-        time=3.2,
-        traceback=TRACEBACK,
-    )
-    text = text_of(plain_finding(expect=expect))
-    block = "".join(f"    {line}\n" if line else "\n" for line in TRACEBACK.splitlines())
-    assert f"  responsibility: none\n  traceback: |\n{block}found:" in text
-
-
-def test_failed_property_without_collision_names_its_worst_moment():
-    expect = Expect(
-        failure="AssertionError",
-        assertion="run.min_ttc > N",
-        outcome=Outcome.COMPLETED,
-        time=31.2,
-        npc=1,
-        cell=Cell.LEFT,
-    )
-    assert (
-        "expect: {failure: AssertionError, assertion: run.min_ttc > N, outcome: safe, time: 31.2, npc: 1, cell: left,\n"
-        "         responsibility: none}\n"
-    ) in text_of(plain_finding(expect=expect))
+def test_names_tracebacks_and_worst_moments_are_readable(snapshot):
+    findings = {
+        "cells": plain_finding(scenario=NAMED),
+        "traceback": plain_finding(expect=CRASH),
+        "no collision": plain_finding(expect=WITHOUT_COLLISION),
+    }
+    texts = {name: text_of(finding) for name, finding in findings.items()}
+    assert {name: text[: text.index("found:")] for name, text in texts.items()} == snapshot
 
 
 def test_wide_world_is_wrapped_between_its_entries(snapshot):
@@ -162,8 +155,5 @@ def test_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
 
 @pytest.mark.parametrize("content", [b"<OpenSCENARIO/>", b"", b"x" * 300_000, b"a: 1"])
 def test_file_of_another_tool_is_not_said_to_be_broken(content):
-    with pytest.raises(
-        CorpusError,
-        match=r"received a different kind of file, .* wrote. Give a file whose name ends with \.pafot\.yaml",
-    ):
+    with pytest.raises(CorpusError, match="a different kind of file"):
         parse(Path("run.xosc"), content)

@@ -1,6 +1,6 @@
 """Findings for tests: a plain one, and a strategy for nasty ones."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
 from typing import get_args
 
@@ -18,9 +18,20 @@ from pytest_pafot.findings.finding import (
     Found,
 )
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.sighting import Alike, Observed, Seen
+from pytest_pafot.findings.sighting import (
+    Alike,
+    Beyond,
+    Discovery,
+    Judged,
+    NotFound,
+    Replay,
+    Seen,
+    Shows,
+    Try,
+    Which,
+)
 from pytest_pafot.findings.situation import Situation, ZoneSituation
-from pytest_pafot.findings.verdict import ZONES
+from pytest_pafot.findings.verdict import ZONES, Verdict
 from pytest_pafot.model.instructions import (
     ACTS,
     SHIFTS,
@@ -70,35 +81,73 @@ def plain_finding(**changes):
     return Finding(**(fields | changes))
 
 
-def sighting(id_="front-2-1f3a9c", *, finding=None, responsible=None, **seen):
-    """Return what a session saw of a plain finding, or of one with these fields."""
+def sighting(id_="front-2-1f3a9c", *, finding=None, responsible=None, label="new", **seen):
+    """Return what a session saw of a plain finding, or of one with these fields.
+
+    ``label`` is that of a new finding, or a key of :data:`REPLAYS`. More facts of a replay can be given by name.
+    """
     made = plain_finding(id=id_, **finding or {})
     if responsible is not None:
         made = replace(made, expect=replace(made.expect, responsibility=responsible))
-    shown = OBSERVED[seen.pop("label", "new")]
-    more = {
-        name: seen.pop(name)
-        for name in list(seen)
-        if name in {each.name for each in fields(Observed)}
-    }
-    alike = Alike(runs=seen.pop("repeats", 0))
-    return Seen(
-        finding=made,
-        observed=Observed(**shown | more),
-        **{"node_id": f"t[{id_}]", "alike": alike} | seen,
-    )
+    alike, severity = Alike(runs=seen.pop("repeats", 0)), seen.pop("severity", None)
+    if label in REPLAYS:
+        facts = {name: seen.pop(name) for name in list(seen) if name in FACTS}
+        observed = replay_of(REPLAYS[label], severity=severity, **facts)
+    else:
+        observed = Discovery(label=label, ended=judged(Shows.SAME), severity=severity)
+    return Seen(finding=made, observed=observed, **{"node_id": f"t[{id_}]", "alike": alike} | seen)
 
 
-OBSERVED = {
-    "new": {"new": "new", "fails": True},
-    "accepted": {"fails": True, "is_accepted": True},
-    "still failing": {"fails": True, "is_same": True},
-    "introduced": {"fails": True, "is_same": True, "reference_passes": True},
-    "drifted": {},
-    "passes": {"is_handled": True},
-    "fixed": {"is_handled": True, "searched": 40},
+def judged(shows, severity=None):
+    failed = shows not in (Shows.HANDLED, Shows.NOTHING, Shows.STILL_COLLIDES)
+    return Judged(verdict=Verdict(kind="failed" if failed else "passed", severity=severity))
+
+
+def tried(shows, which=Which.AS_SAVED, *, ended=None, repeats=True, severity=None):
+    """Return a run of a replay that shows this, by default one to the end of the file."""
+    ended = ended or judged(shows, severity)
+    return Try(which=which, ended=ended, shows=shows, repeats=repeats)
+
+
+def measured(rate):
+    """Return the ten runs of a replay whose file has a rate."""
+    shown = [Shows.OTHER] * rate.failing + [Shows.HANDLED] * (rate.runs - rate.failing)
+    return tuple(tried(each, Which.REPEATED) for each in shown)
+
+
+FACTS = ("before", "reference_passes", "rate", "beyond", "searched", "against")
+
+
+def replay_of(
+    known, *, severity=None, before=None, reference_passes=None, rate=None, beyond="", searched=0, against=""
+):  # fmt: skip
+    """Return a replay with more facts than the known ones."""
+    now = replace(known, against=against)
+    if severity is not None:
+        first = replace(known.tries[0], ended=judged(known.tries[0].shows, severity))
+        now = replace(now, tries=(first, *known.tries[1:]))
+    if reference_passes is not None:
+        shows = Shows.HANDLED if reference_passes else Shows.OTHER
+        now = replace(now, reference=(tried(shows, severity=before),))
+    if rate is not None:
+        now = replace(now, tries=(*now.tries, *measured(rate)))
+    if beyond:
+        now = replace(now, acceptance=Beyond(why=beyond))
+    if searched:
+        now = replace(now, search=NotFound(runs=searched, drawn=0))
+    return now
+
+
+PASS, FAILURE = Replay(tries=(tried(Shows.HANDLED),)), Replay(tries=(tried(Shows.SAME),))
+REPLAYS = {
+    "accepted": replace(FAILURE, acceptance="accepted"),
+    "still failing": FAILURE,
+    "introduced": replay_of(FAILURE, reference_passes=True),
+    "drifted": Replay(tries=(tried(Shows.NOTHING),)),
+    "passes": PASS,
+    "fixed": replay_of(PASS, searched=40),
 }
-"""What was observed of findings with these labels."""
+"""Replays with these labels."""
 
 
 @cache  # hypothesis then examines a strategy only once

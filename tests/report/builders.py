@@ -11,8 +11,8 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 import pytest_pafot as pafot
 from pytest_pafot.findings.finding import Finding, Found
-from pytest_pafot.findings.sighting import Observed, Seen
-from pytest_pafot.findings.verdict import Failure
+from pytest_pafot.findings.sighting import Discovery, Finished, Judged, Seen
+from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import Shown, render_page
 from pytest_pafot.report.session import Session
@@ -61,8 +61,11 @@ def finding_of(trace, **more):
 def seen_of(trace, finding=None, **more):
     """Return what a session saw of a finding; by default of that of the run. The run is None if no run is known."""
     finding = finding or finding_of(trace)
-    run = None if trace is None else Run(trace)
-    observed = Observed(new="new", fails=True, run=run)
+    verdict = Verdict(kind="failed")
+    ended = Judged(verdict=verdict)
+    if trace is not None:
+        ended = Finished(run=Run(trace), verdict=verdict)
+    observed = Discovery(ended=ended)
     return Seen(
         finding=finding, observed=observed, **{"node_id": f"{TEST}[saved-{finding.id}]"} | more
     )

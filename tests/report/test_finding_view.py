@@ -10,7 +10,8 @@ import pytest_pafot as pafot
 from pytest_pafot.attribution import takeovers
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.shrink import Shrunk, described
-from pytest_pafot.findings.verdict import Failure
+from pytest_pafot.findings.sighting import Finished
+from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.oracle.run import Run
@@ -208,9 +209,8 @@ def test_page_shows_the_verdict_that_a_careful_driver_has_decided(
     monkeypatch.setattr(takeovers, "latest", lambda trace, take_over: seconds)
     run = Run(leader_stops_dead(), take_over=TakingOver(pafot.Highway()))
     seen = seen_of(run.trace)
-    view = Viewed(
-        seen=seen, view=finding_view(replace(seen, observed=replace(seen.observed, run=run)))
-    )
+    ended = Finished(run=run, verdict=Verdict(kind="failed"))
+    view = Viewed(seen=seen, view=finding_view(seen.with_observed(ended=ended)))
     assert run.responsibility == responsible
     assert view.sentences == run.sentences
     assert view.sentences[-1].endswith(f" responsible. {takeovers.sentence(seconds)}")

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.finding import FailureRate
-from pytest_pafot.findings.sighting import Alike, Seen
+from pytest_pafot.findings.sighting import Alike
 from pytest_pafot.findings.verdict import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import finding_article
@@ -42,7 +42,7 @@ SEARCHES = st.builds(
 def test_every_record_is_read_as_it_was_written(search, finding, warning, problem):
     session = Session(exit=1, warnings=[warning], problems=[problem])
     add_event(session, replace(search, finds=(sighting("a"), sighting("A_b.c-d"))))
-    add_event(session, Seen(finding=finding, node_id="test_it.py::x"))
+    add_event(session, replace(sighting(node_id="test_it.py::x"), finding=finding))
     record = read_record(to_text(session, root="/nowhere", day="2027-01-31"))
     assert (record.exit, record.day) == (1, "2027-01-31")
     assert (record.warnings, record.problems) == ([warning], [problem])

@@ -13,6 +13,7 @@ from pytest_pafot.corpus.writer import rewrite
 from pytest_pafot.findings.finding import FailureRate
 from pytest_pafot.findings.sighting import label
 from pytest_pafot.searches.explore import replays_of, request_of
+from pytest_pafot.searches.replays import note_on
 
 SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22}
 NODE_ID = "test_it.py::test_brakes"
@@ -109,14 +110,16 @@ def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_r
 def test_a_replay_counts_failures(tmp_path, ads, then, share, expected, failing):
     told = found(ads, tmp_path, shrink_runs=0)
     rewrite(Path(told.path), replace(load(Path(told.path)), rate=FailureRate(failing=then)))
-    now = replayed(type("Changed", (ads,), {"share": share}), tmp_path)
+    replays, saved = saved_with(type("Changed", (ads,), {"share": share}), tmp_path)
+    now = replays.observed(saved, "owner")
     assert label(now) == expected
     bound = r"(, so it occurs in at most 31 % of such seeds \(95 % confidence\))?"
     before = rf"failed (with|in) {then} of 10 (seeds|runs) when it was found"
     assert re.fullmatch(
-        rf"{before}, and now fails (with|in) {failing} of 10 (seeds|runs){bound}", now.note
+        rf"{before}, and now fails (with|in) {failing} of 10 (seeds|runs){bound}",
+        note_on(saved.finding, now),
     )
-    assert now.verdict.failed == (expected == "still failing")
+    assert now.ran.verdict.failed == (expected == "still failing")
 
 
 @pytest.mark.processes

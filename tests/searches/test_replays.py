@@ -9,13 +9,15 @@ import pytest
 
 from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.findings.finding import Expect, signature_of_failure
+from pytest_pafot.findings.sighting import Died, Finished, Shows
 from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searches.replays import Replays
+from pytest_pafot.searches.replays import Replays, note_on
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world import Highway
-from tests.findings.builders import plain_finding
+from tests.findings.builders import plain_finding, tried
+from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
 FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
@@ -43,15 +45,19 @@ class Told(Replays):
         if saved.finding is None:
             raise RequestError(saved.error)
         longer = f"{saved.id}+"
-        return self.harness.ends[
-            longer if world.lasts and longer in self.harness.ends else saved.id
-        ][:2]
+        end = self.harness.ends[longer if world.lasts and longer in self.harness.ends else saved.id]
+        if isinstance(end, Died):
+            return end
+        run, verdict, *_ = end
+        return Finished(run=run, verdict=verdict)
 
-    def _compared(self, saved, world, owner, now, sought=None):
-        assert (sought is None) == self.harness.ends[saved.id][1].failed, (
+    def _compared(self, saved, world, owner, now, sought):
+        assert bool(sought) != self.harness.ends[saved.id][1].failed, (
             "the reference is driven on if the ADS was"
         )
-        return replace(now, reference_passes=(*self.harness.ends[saved.id], None)[2])
+        (_, _, *passes) = self.harness.ends[saved.id]
+        theirs = [tried(Shows.HANDLED if each else Shows.OTHER) for each in passes]
+        return replace(now, reference=tuple(theirs))
 
 
 def harness_of(ends):
@@ -59,7 +65,13 @@ def harness_of(ends):
         SimpleNamespace(settings=SimpleNamespace(isolate=True)),
         SimpleNamespace(sight=None),
     )
-    same = {"saved_node_id": str, "judge": lambda run: PASSED, "versions": {}, "policy": own}
+    same = {
+        "saved_node_id": str,
+        "judge": lambda run: PASSED,
+        "versions": {},
+        "policy": own,
+        "against_name": "",
+    }
     return SimpleNamespace(ends=ends, request=request, world=plain_finding().world, **same)
 
 
@@ -110,3 +122,51 @@ def test_run_that_was_not_judged_is_not_driven_on(verdict):
 def test_failure_shared_with_reference_hides_nothing_new(passes, known):
     assert shown(a=(CRASH, FAILED, passes)) == known
     assert shown(a=(QUIET, PASSED, passes), **{"a+": (LATER, FAILED)}) == known
+
+
+LOST = Died(end="was ended by SIGSEGV", pid=7)
+SOON = "after the end of the saved scenario"
+SAW = {"a": (QUIET, PASSED)}
+REJECTED = Verdict(kind="rejected")
+
+
+@table(("ends", "runs", "note"), [
+    ({"a": (CRASH, FAILED)}, ["as saved: SAME"], ""),
+    ({"a": (OTHER, FAILED)}, ["as saved: OTHER"], ""),
+    ({"a": (QUIET, REJECTED)}, ["as saved: NOTHING"], ""),
+    ({"a": LOST}, ["as saved: OTHER"], ""),
+    (SAW, ["as saved: HANDLED", "continued: NOTHING"], ""),
+    (SAW | {"a+": (OTHER, PASSED)}, ["as saved: HANDLED", "continued: NOTHING, differs"], ""),
+    (SAW | {"a+": (CRASH, FAILED)}, ["as saved: HANDLED", "continued: SAME, differs"], ""),
+    (
+        SAW | {"a+": (LATER, FAILED)},
+        ["as saved: HANDLED", "continued: SAME", "continued again: NOTHING"],
+        f"the same failure occurs {SOON}: collision at 2.3 s",
+    ),
+    (
+        SAW | {"a+": (OTHER_LATER, FAILED)},
+        ["as saved: HANDLED", "continued: ONLY_NOTED"],
+        f"a different failure occurs {SOON}: off_road at 2.1 s",
+    ),
+    (
+        SAW | {"a+": (LATER, PASSED)},
+        ["as saved: HANDLED", "continued: STILL_COLLIDES"],
+        f"the same NPC still collides with the ego {SOON} (The ego hit NPC 0 from behind after 2.3 s, closing at "
+        "10.0 m/s; ego at fault)",
+    ),
+    (
+        SAW | {"a+": LOST},
+        ["as saved: HANDLED", "continued: ONLY_NOTED", "as saved again: NOTHING"],
+        f"the process was ended by SIGSEGV {SOON}",
+    ),
+])  # fmt: skip
+def test_pass_is_continued_past_the_end_and_only_the_saved_failure_is_confirmed(ends, runs, note):
+    told = Told(harness=harness_of(ends))
+    finding = plain_finding(id="a", expect=Expect.from_run(CRASH, FAILS))
+    now = told._driven(Saved(Path("a.pafot.yaml"), finding), Highway(), "owner")
+    made = []
+    for each in now.tries:
+        differs = "" if each.repeats else ", differs"
+        made.append(f"{each.which}: {each.shows.name}{differs}")
+    assert made == runs
+    assert note_on(finding, now) == note

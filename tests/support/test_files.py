@@ -13,6 +13,10 @@ from pytest_pafot.support import files
 from pytest_pafot.support.files import append, open_regular, write_if_free, write_whole
 
 
+def is_full(error):
+    return error.errno == errno.ENOSPC
+
+
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / "folder" / "of a test" / "file.txt"
@@ -23,7 +27,7 @@ def links(request, monkeypatch):
     if request.param == "no hard links":
 
         def refuse(self, target):
-            raise PermissionError(1, "Operation not permitted")
+            raise PermissionError(errno.EPERM, "not permitted")
 
         monkeypatch.setattr(Path, "hardlink_to", refuse)
 
@@ -57,7 +61,7 @@ def test_link_of_the_system_to_an_open_file_stays(tmp_path):
 )
 def test_full_device_is_an_error_and_stays():
     for write in (write_whole, append):
-        with pytest.raises(OSError, match="No space left on device"):
+        with pytest.raises(OSError, check=is_full):
             write(Path("/dev/full"), "content")
     assert Path("/dev/full").is_char_device()
 
@@ -65,7 +69,7 @@ def test_full_device_is_an_error_and_stays():
 def test_failed_addition_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     path = tmp_path / "file.txt"
     append(path, "first\n")
-    parts = iter([1, OSError(errno.ENOSPC, "No space left on device")])
+    parts = iter([1, OSError(errno.ENOSPC, "full")])
     real = os.write
 
     def write(descriptor, data):
@@ -75,7 +79,7 @@ def test_failed_addition_leaves_the_file_as_it_was(tmp_path, monkeypatch):
         return real(descriptor, data[:part])
 
     monkeypatch.setattr(files.os, "write", write)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, check=is_full):
         append(path, "second\n")
     monkeypatch.undo()
     append(path, "third\n")
@@ -121,7 +125,7 @@ def test_failing_disk_leaves_the_old_file_intact(path, monkeypatch, write, call)
     write_whole(path, "before")
 
     def fail(*_args, **_options):
-        raise OSError(28, "No space left on device")
+        raise OSError(errno.ENOSPC, "full")
 
     if call == "fsync":
         monkeypatch.setattr(os, "fsync", fail)
@@ -131,7 +135,7 @@ def test_failing_disk_leaves_the_old_file_intact(path, monkeypatch, write, call)
         for name in ("hardlink_to", "rename", "replace"):
             monkeypatch.setattr(Path, name, fail)
         monkeypatch.setattr(os.path, "lexists", lambda path: False)
-    with pytest.raises(OSError, match="No space left on device"):
+    with pytest.raises(OSError, check=is_full):
         write(path, b"content")
     monkeypatch.undo()
     assert list(path.parent.iterdir()) == [path]
@@ -189,7 +193,7 @@ def test_only_regular_files_are_opened_without_following_links(tmp_path):
     (tmp_path / "zero").symlink_to("/dev/zero")
     for mode in ("rb", "r+b", "ab"):
         for name in ("link", "dangling", "loop", "zero", "pipe", "."):
-            with pytest.raises(OSError, match=r"Is a (symbolic link|folder|special file)"):
+            with pytest.raises(OSError, check=lambda error: error.errno == errno.EINVAL):
                 open_regular(tmp_path / name, mode)
     with open_regular(tmp_path / "new", "ab") as file:
         file.write(b"content")

@@ -8,12 +8,10 @@ from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import git
 from tests.helpers.tables import table
 
+IMPOSSIBLE = [(".", "a\0b"), ("c\0d", "a"), (".", "e\ud800")]
 
-@table("folder, argument, message", [
-    (".", "a\0b", r"received 'a\\x00b' \(embedded null .*\)\. Use another name"),
-    ("c\0d", "a", r"received 'c\\x00d' \(embedded null .*\)\. Use another name"),
-    (".", "e\ud800", r"received 'e\\ud800' \(.*surrogates not allowed\)\. Use another name"),
-])  # fmt: skip
-def test_a_text_that_no_command_line_can_have_is_named(folder, argument, message):
-    with pytest.raises(RequestError, match=message):
+
+@table("folder, argument", IMPOSSIBLE)
+def test_a_text_that_no_command_line_can_have_is_refused(folder, argument):
+    with pytest.raises(RequestError):
         git(Path(folder), "rev-parse", argument)

@@ -38,7 +38,7 @@ FILES = {
     "core.py": "def steering(observation): return 0.0",
     "lazy.py": "raise SystemExit('imported')",
     "package/__init__.py": "",
-    "package/deep.py": "from . import gains\nfrom ..no_parent import x\ndef brake(): return gains.GAIN",
+    "package/deep.py": "from . import gains\nif 0: from ..no_parent import x\ndef brake(): return gains.GAIN",
     "package/gains.py": "GAIN = 1.0",
     "package/unused.py": "",
     "unused.py": "",
@@ -51,27 +51,17 @@ def policy(tmp_path, monkeypatch):
     for name, text in FILES.items():
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
-        path.write_text(
-            text.replace(
-                "from ..no_parent import x\n", "if False:\n    from ..no_parent import x\n"
-            )
-        )
+        path.write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     yield importlib.import_module("policy")
-    for name in [
-        each for each in sys.modules if each.partition(".")[0] in ("policy", "core", "package")
-    ]:
-        del sys.modules[name]
+    for name in list(sys.modules):
+        if name.partition(".")[0] in ("policy", "core", "package"):
+            del sys.modules[name]
 
 
 OF_POLICY = [
-    "core.py",
-    "lazy.py",
-    "package/__init__.py",
-    "package/deep.py",
-    "package/gains.py",
-    "policy.py",
-]
+    "core.py", "lazy.py", "package/__init__.py", "package/deep.py", "package/gains.py", "policy.py",
+]  # fmt: skip
 
 
 def test_all_imported_files_are_found_unrun(policy, tmp_path):
@@ -144,7 +134,7 @@ def test_missing_and_broken_files_are_no_errors(policy, tmp_path):
     (tmp_path / "core.py").unlink()
     (tmp_path / "lazy.py").write_bytes(b"import \xff\x00")
     found = source_digests(policy, here=tmp_path)
-    assert found["core.py"] == "unreadable: No such file or directory"
+    assert found["core.py"].startswith("unreadable: ")
     assert found["lazy.py"].startswith("sha256:")
 
 

@@ -12,7 +12,7 @@ from typing import assert_never
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, ending
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, described
-from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Seen
+from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Finished, Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searches.bench import Bench, Differs, NoTime, Same
@@ -251,10 +251,7 @@ def _with_takeover(sighting: Seen, confirmed: Confirmed, bench: Bench) -> Refini
     # If nothing has changed, the caller does not write the file again.
     if finding == before and not sighting.unshrunk:
         return sighting
-    return replace(
-        sighting,
-        finding=finding,
-        headline=finding.with_sight(headline(run, verdict)),
-        observed=replace(sighting.observed, run=run, verdict=verdict, severity=verdict.severity),
-        unshrunk="",
-    )
+    ended = Finished(run=run, verdict=verdict)
+    sighting = sighting.with_observed(ended=ended, severity=verdict.severity)
+    line = finding.with_sight(headline(run, verdict))
+    return replace(sighting, finding=finding, headline=line, unshrunk="")

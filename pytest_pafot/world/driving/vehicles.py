@@ -14,7 +14,6 @@ import numpy as np
 
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
-from pytest_pafot.world.engines.run import Rules
 from pytest_pafot.world.kernel.crossing import CrossingNpc
 from pytest_pafot.world.kernel.director import Npc
 from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle, NetworkVehicle, StaticObstacle
@@ -522,17 +521,17 @@ def egos_rules(
     road: Any,
     model: GoalVehicle,
     places: Places,
-    rules: Rules,
+    way: RoadOfGrid,
+    physics_hz: float,
     network: Any,
 ) -> EgosRoadRules | None:
     """Return a regulated road's rules for an ego driven by ``model``, or None for other roads."""
-    way = rules.road
     is_regulated = type(road) in (RegulatedRoad, EgosRegulatedRoad)
     if not (is_regulated and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):
         return None
     frequency = road.REGULATION_FREQUENCY
     priorities = [int(each.priority) for each in road.network.lanes_list()]
-    every = int(1 / (1 / rules.physics_hz) / frequency)  # as highway-env rounds it
+    every = int(1 / (1 / physics_hz) / frequency)  # as highway-env rounds it
     regulation = priorities, road.steps, every, road.YIELD_DURATION * frequency
     return EgosRoadRules(model, places, way.bends, network, *regulation)
 

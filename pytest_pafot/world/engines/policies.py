@@ -115,7 +115,7 @@ def _class_run(
         vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
         others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
         # On a regulated road, the ego also yields to other vehicles.
-        yielding = egos_rules(env.road, model, vehicles.places, rules, lanes)
+        yielding = egos_rules(env.road, model, vehicles.places, rules.road, rules.physics_hz, lanes)
         kernel_driver = ModelDriver(model, others, yielding)
         return vehicles.drive(kernel_driver, guard, ends_of(vehicles, guard))
     if rules.ends:

@@ -20,18 +20,15 @@ from tests.optional.export import test_export_command as export
 
 pytestmark = pytest.mark.processes
 
+DISTINCT, FAULTS = (
+    "Distinct failures for which the ego is responsible",
+    "faults of the ADS among them",
+)
+"""The headings of a table in the report, and of one of its columns."""
+
 SMALL = [
-    "--ads",
-    "constant_speed",
-    "--runs",
-    "3",
-    "--seconds",
-    "200",
-    "--duration",
-    "20",
-    "--workers",
-    "1",
-]
+    "--ads", "constant_speed", "--runs", "3", "--seconds", "200", "--duration", "20", "--workers", "1",
+]  # fmt: skip
 
 
 def compare(folder, *arguments):
@@ -63,8 +60,8 @@ def tables_of(report):
 
 
 def the_report_gives_the_command_and_the_versions(made, report):
-    assert "python -m pytest_pafot compare --ads constant_speed" in report
-    assert "Each algorithm has 3 runs of 200 simulated seconds. The base seed is 0." in report
+    assert re.search(r"^python -m pytest_pafot compare --ads constant_speed", report, re.MULTILINE)
+    assert re.search(r" 3 runs of 200 .* is 0\.", report)
     assert re.search(r"pytest-pafot \S+, highway-env \S+, numpy \S+", report)
 
 
@@ -137,13 +134,9 @@ def test_any_number_of_workers_gives_the_same_rows_by_algorithm_and_run(tmp_path
     one, two = ((tmp_path / n / "results.csv").read_bytes() for n in "12")
     assert one == two
     order = [(row["algorithm"], row["run"]) for row in rows_in(tmp_path / "1" / "results.csv")]
-    assert list(dict.fromkeys(order)) == [
-        ("random", "0"),
-        ("random", "1"),
-        ("pafot", "0"),
-        ("pafot", "1"),
-    ]
-    assert "compare: 3 of 4 runs\ncompare: 4 of 4 runs\n" in capsys.readouterr().err
+    expected = [("random", "0"), ("random", "1"), ("pafot", "0"), ("pafot", "1")]
+    assert list(dict.fromkeys(order)) == expected
+    assert re.findall(r" (\d) of 4 ", capsys.readouterr().err)[-2:] == ["3", "4"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -163,7 +156,7 @@ def test_rows_of_finished_runs_are_written_if_another_fails(tmp_path, capsys, mo
     ]
     assert not (tmp_path / "report.md").exists()
     assert compare(tmp_path, "--algorithms", "random") == BAD_USE
-    assert "expected a folder without the results of a comparison, but " in capsys.readouterr().err
+    assert str(tmp_path) in capsys.readouterr().err
     assert len(rows_in(tmp_path / "results.csv")) == 1
 
 
@@ -184,17 +177,8 @@ def test_runs_of_different_lengths_are_compared_at_equal_seconds(tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsys):
-    arguments = [
-        "--algorithms",
-        "random,random@paper,pafot",
-        "--runs",
-        "1",
-        "--seconds",
-        "60",
-        "--seed",
-        "4",
-    ]
-    assert compare(tmp_path, *arguments) == 0
+    few = ["--runs", "1", "--seconds", "60", "--seed", "4"]
+    assert compare(tmp_path, "--algorithms", "random,random@paper,pafot", *few) == 0
     rows = [
         (row["algorithm"], json.loads(row["executed"])) for row in rows_in(tmp_path / "results.csv")
     ]
@@ -205,42 +189,17 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
     assert npcs["random"] <= {3, 4, 5, 6}
     assert len(speeds["random"]) > 2
     report, told = (tmp_path / "report.md").read_text(), capsys.readouterr().err
-    of_test, papers = (
-        "3 to 6 NPCs with PositionInstructions or LaneInstructions in hostile traffic (NPCs may stop, brake hard and "
-        "cut in close); the ego starts at 12 to 26.8 m/s in lanes "
-        "0 to 3",
-        "2 NPCs; the ego starts at 22 m/s in lane 1",
-    )
-    assert (
-        "**Warning:** the algorithms have different scenarios, which may be the reason for differences"
-        in report
-    )
-    assert f"- random: {of_test}; genes of 2 to 4 s, together 20 s; half of them have" in report
-    assert f"- random@paper, pafot: {papers}; 2 genes of 10 s\n" in report
-    assert "compare: warning: the algorithms have different scenarios" in told
-    assert f"  random@paper, pafot: {papers}; 2 genes of 10 s\n" in told
+    assert re.findall("(?m)^- ([^:]*): .* NPCs", report) == ["random", "random@paper, pafot"]
+    assert re.findall("(?m)^  ([^:]*): .* NPCs", told) == ["random", "random@paper, pafot"]
 
 
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
     """A policy that stands still is never responsible, and two seconds of driving cause no collision."""
-    arguments = [
-        "--duration",
-        "2",
-        "--seconds",
-        "10",
-        "--runs",
-        "2",
-        "--algorithms",
-        "pafot,random",
-    ]
-    assert compare(tmp_path, "--ads", f"{__name__}:standing", *arguments) == 0
+    few = ["--duration", "2", "--seconds", "10", "--runs", "2", "--algorithms", "pafot,random"]
+    assert compare(tmp_path, "--ads", f"{__name__}:standing", *few) == 0
     found = tables_of((tmp_path / "report.md").read_text())
-    assert {row[1] for row in found["Distinct failures for which the ego is responsible"][2:]} == {
-        "0"
-    }
-    assert {row[-1] for row in found["Distinct failures for which the ego is responsible"][2:]} == {
-        "not reached"
-    }
+    rows = found[DISTINCT][2:]
+    assert {(row[1], row[-1]) for row in rows} == {("0", "not reached")}
     assert {row[3] for row in found["All collisions"][2:]} == {"no collision"}
 
 
@@ -251,30 +210,29 @@ def standing():
 @pytest.mark.usefixtures("undrawn")
 def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
     assert compare(tmp_path, "--algorithms", "random", "--seconds", "20") == 0
-    assert "There is only one algorithm" in (tmp_path / "report.md").read_text()
+    assert "Statistics" not in tables_of((tmp_path / "report.md").read_text())
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["--algorithms", "pafot,genetic"], "algorithm: expected one of random, pafot, .*, but received 'genetic'"),
-    (["--algorithms", ","], "--algorithms: expected one or more of random, .*, but received none"),
-    (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, but received pafot again"),
-    (["--algorithms", "av-fuzzer@soon"],
-     r"--algorithms: expected a time \[s\] or paper after the @, as in av-fuzzer@15, but received"),
-    (["--ads", "constant_speedd"],
-     "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, junctions, ppo, or "
-     "module:factory for your own policy, received 'constant_speedd'. Did you mean 'constant_speed'"),
-    (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
-    (["--runs", "0"], "--runs: expected a whole number, at least 1, but received 0"),
-    (["--seed", "-1"], "--seed: expected a whole number, at least 0, but received -1"),
-    (["--fitness", "papr"], "fitness: expected .* Did you mean 'paper'"),
-    (["--clearance", "-1"], "clearance: expected .* received -1"),
-    (["--world", "nowhere-v0"], "nowhere-v0"),
-])  # fmt: skip
-def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, arguments, message):
+WRONG = [
+    ("--algorithms", "pafot,genetic"),
+    ("--algorithms", ","),
+    ("--algorithms", "pafot,random,pafot"),
+    ("--algorithms", "av-fuzzer@soon"),
+    ("--ads", "constant_speedd"),
+    ("--ads", "no_such_policy:make"),
+    ("--runs", "0"),
+    ("--seed", "-1"),
+    ("--fitness", "papr"),
+    ("--clearance", "-1"),
+    ("--world", "highway-fast-v1"),
+]
+
+
+@pytest.mark.parametrize("arguments", WRONG, ids=" ".join)
+def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, arguments):
     assert compare(tmp_path / "out", *arguments) == BAD_USE
     error = capsys.readouterr().err
-    assert re.match(f"compare: .*{message}", error, re.DOTALL), error
-    assert error.count("\n") == 1
+    assert (error[:9], error.count("\n")) == ("compare: ", 1)
     assert not (tmp_path / "out").exists()
 
 
@@ -284,12 +242,10 @@ def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, argume
 def test_unwritable_result_is_reported(tmp_path, capsys, name):
     taken = tmp_path / "out" / name
     taken.mkdir(parents=True) if name != "." else taken.touch()
-    assert (
-        compare(tmp_path / "out", "--algorithms", "random", "--runs", "1", "--seconds", "20")
-        == BAD_USE
-    )
+    few = ["--algorithms", "random", "--runs", "1", "--seconds", "20"]
+    assert compare(tmp_path / "out", *few) == BAD_USE
     told = capsys.readouterr().err.splitlines()[-1]
-    assert told.startswith(f"compare: --out: expected a writable folder, received {taken}: ")
+    assert (told[:16], f" {taken}: " in told) == ("compare: --out: ", True)
 
 
 def test_missing_libraries_error_says_how_to_install_them(tmp_path, capsys, monkeypatch):
@@ -306,30 +262,10 @@ def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
     assert compare(tmp_path, *arguments) == BAD_USE
     said = capsys.readouterr()
     assert said.out == ""
-    for part in (
-        "the ADS failed: ValueError: unexpected shape ()\n",
-        'raise ValueError(f"unexpected shape {shape}")\n',
-        "This happened in all 4 runs of the first generation",
-        "The ADS was given a pafot.Observation (time, ego,",
-        "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.LaneCommand. "
-        'A policy for a highway-env environment needs world=pafot.World("highway-v0", config=...). On the command '
-        "line, world= is --world,",
-    ):
-        assert part in said.err
+    assert "ValueError: unexpected shape ()\n" in said.err
     assert not (tmp_path / "report.md").exists()
-    more = [
-        "--world",
-        "highway-v0",
-        "--duration",
-        "5",
-        "--seconds",
-        "15",
-        "--algorithms",
-        "random",
-        "--workers",
-        "1",
-    ]
-    assert compare(tmp_path, *arguments, *more) == 0
+    few = ["--duration", "5", "--seconds", "15", "--algorithms", "random", "--workers", "1"]
+    assert compare(tmp_path, *arguments, "--world", "highway-v0", *few) == 0
 
 
 def of_an_environment():
@@ -347,12 +283,8 @@ def test_policy_that_raises_later_is_an_ads_fault(tmp_path):
     arguments = ["--ads", f"{__name__}:raising_later", "--algorithms", "pafot,random"]
     assert compare(tmp_path, *arguments) == 0
     report = (tmp_path / "report.md").read_text()
-    head, _, *rows = tables_of(report)["Distinct failures for which the ego is responsible"]
-    assert [row[head.index("faults of the ADS among them")] for row in rows] == ["1", "1"]
-    assert (
-        "The search counts as failures all collisions, and exceptions and hangs of the ADS."
-        in report
-    )
+    head, _, *rows = tables_of(report)[DISTINCT]
+    assert [row[head.index(FAULTS)] for row in rows] == ["1", "1"]
 
 
 def raising_later():
@@ -397,10 +329,10 @@ def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
     assert '"duration": 5.0' in (tmp_path / "wrapped" / "report.md").read_text()
 
 
-@pytest.mark.parametrize(("options", "told"), [
-    (["--duration", "5"], "--duration: expected no such option with --world"),
-    (["--algorithms", "random@5"], "no seconds after the @ with a simulator of your own, but received random@5"),
-])  # fmt: skip
-def test_what_a_simulator_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
+DECIDED = [("--duration", "5"), ("--algorithms", "random@5")]
+
+
+@pytest.mark.parametrize("options", DECIDED)
+def test_what_a_simulator_of_the_users_own_decides_is_no_option(tmp_path, capsys, options):
     assert compare_in("road", tmp_path, "constant_speed", *options) == BAD_USE
-    assert told in capsys.readouterr().err
+    assert capsys.readouterr().err.startswith(f"compare: {options[0]}: ")
