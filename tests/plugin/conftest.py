@@ -25,6 +25,7 @@ from tests.helpers.sessions import (
     in_a_copy,
     in_process,
     quick_sessions,
+    read_record,
     section,
     set_keys,
 )
@@ -211,6 +212,11 @@ class Project:
         return {name: (self.path / name).read_text() for name in self.files}
 
     @property
+    def record(self):
+        """Return what the last session wrote for programs with ``--pafot-json=pafot.json``."""
+        return read_record((self.path / "pafot.json").read_text(encoding="utf-8"))
+
+    @property
     def records(self):
         """Return the crash records of the project, and any others in its folder for temporary files."""
         return list(Path(tempfile.gettempdir()).rglob("*.inflight"))
@@ -235,6 +241,12 @@ class Project:
 def shows(result, name, *lines):
     """Check that the failure of a test is told by lines in this order."""
     pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines(list(lines))
+
+
+def labels(result):
+    """Return the labels of a session's replays with their numbers, such as ``1 still failing``."""
+    lines = [line for line in result.outlines if line.startswith("replayed ")]
+    return lines[0].rpartition(": ")[2] if lines else ""
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.oracle.run import Check
 from pytest_pafot.support.process import installed_versions
 from tests.helpers.sessions import section
+from tests.plugin.conftest import labels
 
 SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 5.0)]], gene_seconds=6.0)
 """An NPC slows down ahead. An ego that never brakes hits it after 5.6 s at 30 m/s, and after 6.5 s at 20 m/s, half a
@@ -107,7 +108,7 @@ def test_slower_ego_with_the_same_mistake_still_fails(saved):
     result.assert_outcomes(failed=1, skipped=1)
     told = "the same failure occurs after the end of the saved scenario: collision at 6.5 s"
     assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    assert labels(result) == "1 still failing"
     assert told in (saved.path / "session.json").read_text()
 
 
@@ -134,7 +135,7 @@ def test_a_pass_is_no_fix_if_the_same_npc_hits_the_ego_soon_after_the_end(
     saved.write(ACCEPTS_LATER.replace("WORLD", WORLD))
     result = replay(saved, policy, *against)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
+    assert labels(result) == f"1 {label}"
     assert ("policies:fast fails" in result.stdout.str()) == bool(against)
     told = (
         "the same NPC still collides with the ego after the end of the saved scenario "
@@ -181,9 +182,7 @@ def test_reference_that_dies_after_the_end_does_so_once(saved):
     against = "--pafot-against=policies:dying"
     assert replay(saved, "braking", against, apart=True).ret == 9
     for _ in range(3):
-        replay(saved, "braking", against).stdout.fnmatch_lines(
-            ["replayed 1 saved scenario: 1 passed"]
-        )
+        assert labels(replay(saved, "braking", against)) == "1 passed"
 
 
 @pytest.mark.processes
@@ -215,7 +214,7 @@ def test_death_after_the_end_of_a_crash_still_fails(project):
 
 def test_failure_by_chance_after_the_end_is_flaky(saved):
     result = replay(saved, "dicing")
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
+    assert labels(result) == "1 flaky"
     told = "the same failure occurs after the end of the saved scenario: collision at "
     assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
 
@@ -224,8 +223,8 @@ def test_pass_without_its_situation_is_driven_on_too(saved):
     path = saved.only_file
     # it was far faster than the NPC
     path.write_text(path.read_text().replace("ego_speed: ", "ego_speed: 9"))
-    replay(saved, "braking").stdout.fnmatch_lines(["*1 drifted"])
-    replay(saved, "slow").stdout.fnmatch_lines(["*1 still failing"])
+    assert labels(replay(saved, "braking")) == "1 drifted"
+    assert labels(replay(saved, "slow")) == "1 still failing"
 
 
 def test_check_that_fails_after_the_end_still_fails(project):
@@ -238,7 +237,7 @@ def test_check_that_fails_after_the_end_still_fails(project):
     filed(project, failure=failure)
     told = "*the same failure occurs after the end of the saved scenario: speed failed at *"
     replay(project, "late").stdout.fnmatch_lines([told, "*1 still failing"])
-    replay(project, "braking").stdout.fnmatch_lines(["*1 passed"])
+    assert labels(replay(project, "braking")) == "1 passed"
 
 
 @pytest.mark.parametrize(
@@ -259,7 +258,7 @@ def test_value_that_grows_with_the_run_is_not_judged_later(project, broken):
         )
     filed(project, failure=failure)
     result = replay(project, "braking")
-    result.stdout.fnmatch_lines(["*1 passed"])
+    assert labels(result) == "1 passed"
     result.stdout.no_fnmatch_line("*after the end of the saved scenario*")
     replay(project, "slow").assert_outcomes(failed=1, skipped=1)
 
@@ -287,7 +286,7 @@ def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
 ])  # fmt: skip
 def test_reference_is_driven_on_as_well(saved, now, before, label, reference):
     result = replay(saved, now, f"--pafot-against=policies:{before}")
-    result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
+    assert labels(result) == f"1 {label}"
     assert f"policies:{before} {reference}" in " ".join(result.stdout.str().split())
 
 

@@ -27,6 +27,7 @@ CHANGES = [
     (r"[\d.,]+ (runs?/s|(m?s|min|h) per (run|decision))", r"N \1"),
     (r"\b(pid|process) \d+", r"\1 N"),
     (r"\b0x[0-9a-f]{6,}", "0xADDRESS"),
+    (r"\bVehicle #\d+", "Vehicle #N"),  # highway-env numbers vehicles by their addresses
     (rf"\b({PACKAGES})([ -]|==)\d+(\.\w+)+", r"\1\2VERSION"),
     # Python before and after 3.13 underlines other parts of a line.
     (r"^[E ]*[ ~^]*[~^]{2}[ ~^]*\n", ""),
