@@ -1,8 +1,25 @@
 """What a session of pytest says about marked tests, searches and replays."""
 
+import re
+import shutil
+from functools import partial
+
 import pytest
 
-from tests.helpers.tables import table
+from pytest_pafot.findings.shrink import OutOfBudget
+from pytest_pafot.searches.refine import steps
+from pytest_pafot.searches.refine.simplest import Turn
+from pytest_pafot.support.errors import OutOfTime
+from tests.plugin.conftest import CONFTEST
+from tests.plugin.test_driving_on import POLICIES, filed
+from tests.plugin.test_session_records import IS_CUT
+
+
+@pytest.fixture
+def project(project, monkeypatch):
+    """Return a project whose sessions break no line, because they would break it elsewhere in a longer path."""
+    monkeypatch.setenv("COLUMNS", "9999")
+    return project
 
 
 def marked(*cases, body="pass"):
@@ -136,7 +153,9 @@ def test_functions_that_hide_or_only_collect_failures_read_so(project, snapshot)
     result = result_of(project, source)
     result.assert_outcomes(failed=1 + len(FIXTURES) + 2 * len(skips))
     project.pytester.makepyfile(pytest_check=CHECK)
-    checking = "import pytest_check\n\n" + marked(("SHORT", "pytest_check.is_true(run.duration > 99)"))
+    checking = "import pytest_check\n\n" + marked(
+        ("SHORT", "pytest_check.is_true(run.duration > 99)")
+    )
     checked = result_of(project, checking)
     checked.assert_outcomes(failed=1)
     assert project.files == []
@@ -234,7 +253,6 @@ MISTAKES = [
     "ads=lambda: model",
     "ads=model",
     "ads='trained'",
-    "ads='tmp_path'",
     "ads='model.zip'",
     "ads=Vehicle(None, [0, 0])",
     "ads=lambda: Vehicle()",
@@ -305,3 +323,432 @@ def test_searches_that_test_little_read_so(project, snapshot):
     strict = project.run("--pafot-strict-health", "test_it.py::test_8[search]", runs=8)
     strict.assert_outcomes(failed=1)
     assert [result.stdout.str(), strict.stdout.str()] == snapshot
+
+
+# --- saved scenarios
+
+
+def copies(project, edits, name="copy"):
+    """Replace the only saved file by copies in which a regular expression is replaced, and return their number."""
+    file, text = project.only_file, project.only_file.read_text()
+    for number, (old, new) in enumerate(edits):
+        edited = re.sub(old, new, text, count=1, flags=re.MULTILINE)
+        assert edited != text, old
+        file.with_name(f"{name}-{number:02}.pafot.yaml").write_text(edited)
+    file.unlink()
+    return len(edits)
+
+
+DAMAGED = [
+    (r"^pafot: 3", "pafot: 99"),
+    (r"^scenario:", "colour: red\nscenario:"),
+    (r"cell: [a-z-]+, speed", "cell: 9, speed"),
+    (r"^pafot: 3", "pafot: [1"),
+    (r"(?s).*", ""),
+    (r"(?s)\Z", "#" * 300_000),
+    ("lanes: 4", "lanes: 40"),
+    ("overspeed: 1.1", "overspeed: 2.0"),
+    ("lane: 1, speed", "lane: 9, speed"),
+    (r"cell: front, speed: [\d.]+", "cell: front, speed: 99.0"),
+    ("gene_seconds: 5.0", "gene_seconds: 5.01"),
+    (r"world: (.|\n)*?\n#", "world: {kind: own, class: Ring, data: {lanes: 3}}\n#"),
+]
+ENVIRONMENT = [
+    ("lanes_count: 3", "lanes_count: many"),
+    ("lanes_count: 3", "lanes_cound: 3"),
+    ("highway-fast-v0", "highway-slow-v0"),
+]
+IN_AN_ENVIRONMENT = """
+@pafot.search(ads=lambda: lambda observation: 1, world=pafot.World("highway-fast-v0", duration=5.0))  # stop_after=1
+def test_fails(run):
+    assert run.duration < 1
+"""
+NAMES = ["with space", "\xfcber", "a%b", "copy (1)", "[x]"]
+
+
+def test_files_that_cannot_be_read_read_so(saved, snapshot):
+    file, text = saved.only_file, saved.only_file.read_text()
+    count = copies(saved, DAMAGED)
+    for name in NAMES:
+        file.with_name(f"{name}.pafot.yaml").write_text(text)
+    file.with_name("link.pafot.yaml").symlink_to("/dev/zero")
+    result = saved.run("-rN", runs=0)
+    result.assert_outcomes(failed=count + len(NAMES) + 1, skipped=1)
+    saved.forget()
+    saved.write(IN_AN_ENVIRONMENT)
+    saved.run_once()
+    copies(saved, ENVIRONMENT)
+    of_environments = saved.run("-rN", runs=0)
+    of_environments.assert_outcomes(failed=len(ENVIRONMENT), skipped=1)
+    assert [result.stdout.str(), of_environments.stdout.str()] == snapshot
+
+
+NO_HIT = "assert not run.collision"
+LATER = "assert not run.collision or run.collision.time > 6"
+LATE_ERROR = "missing = {}['lane'] if run.duration > 10.0 else None\n    assert not run.collision"
+XFAIL = [("# xfail: .*", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')]
+OVER = [("# xfail: .*", 'xfail: {reason: "planner issue 12", until: 2027-01-31}')]
+FLAKY = [
+    ("# xfail: .*", 'flaky: "another run"\nxfail: {reason: "planner issue 12", until: 9999-12-31}')
+]
+VERSIONS = [(r"highway-env: [\d.]+", "highway-env: 0.9.0")]
+FIVE = "world=pafot.Highway(lanes=5)"
+
+
+def row(policy, body=NO_HIT, more="", edits=()):
+    """Return the policy, the body of the test, more arguments of its search, and the changes of its file."""
+    return policy, body, more, edits
+
+
+REPLAYS = {
+    "fails": row("fast"),
+    "passes": row("braking"),
+    "fails_earlier": row("fast", edits=[(r"collision, time: [\d.]+", "collision, time: 4.6")]),
+    "fails_after_the_end": row("slow"),
+    "hits_after_the_end": row("slow", LATER),
+    "raises_after_the_end": row("raising"),
+    "error_after_the_end": row("braking", LATE_ERROR),
+    "fails_by_chance_after_the_end": row("dicing"),
+    "passes_with_other_versions": row("braking", edits=VERSIONS),
+    "passes_without_its_situation": row("braking", edits=[("ego_speed: ", "ego_speed: 9")]),
+    "ends_in_a_shorter_world": row("fast", more="world=pafot.Highway(lanes=3, duration=0.4)"),
+    "fails_and_names_another_world": row("fast", more=FIVE),
+    "passes_and_names_another_world": row("braking", more=FIVE),
+    "fails_and_names_other_traffic": row("fast", more="traffic='everyday'"),
+    "rejects": row("fast", "pafot.reject()"),
+    "raises_in_all_runs": row("broken"),
+    "misspelt": row("fast", "assert not run.collided"),
+    "accepted": row("fast", edits=XFAIL),
+    "accepted_and_passes": row("braking", edits=XFAIL),
+    "accepted_and_flaky": row("braking", edits=FLAKY),
+    "accepted_until_yesterday": row("fast", edits=OVER),
+    "accepted_until_yesterday_and_passes": row("braking", edits=OVER),
+    "accepted_and_raises": row("failing", edits=XFAIL),
+    "accepted_another_speed": row("fast", edits=[*XFAIL, (r" closing_speed: [\d.]+", " closing_speed: 0.5")]),
+    "accepted_another_npc": row("fast", edits=[*XFAIL, (r"npc: 0,(\s+)cell", r"npc: 1,\1cell")]),
+    "accepted_another_assertion": row("fast", edits=[*XFAIL, ("not run.collision", "not run.off_road")]),
+    "accepted_another_end": row("fast", edits=[*XFAIL, ("outcome: collision", "outcome: off_road")]),
+}  # fmt: skip
+MORE_POLICIES = """
+def broken():
+    return lambda seen, more: (0.0, 0.0)
+
+def failing():
+    return lambda seen: (None if seen.time > 2.0 else 0.0, 0.0)
+"""
+
+
+@pytest.fixture
+def replays(project):
+    """Return a project with a saved collision for each test in the table."""
+    filed(project)
+    project.pytester.makepyfile(policies=POLICIES + MORE_POLICIES)
+    source = ["import policies", ""]
+    text = project.only_file.read_text()
+    file = project.only_file
+    for name, (policy, body, more, edits) in REPLAYS.items():
+        world = "" if "world=" in more else "world=pafot.Highway(lanes=3), "
+        source.append(
+            f"@pafot.search({world}blame='ego', npcs=1, ads=policies.{policy}, {more})\ndef test_{name}(run):\n    {body}\n"
+        )
+        changed = text.replace("::test_gap", f"::test_{name}")
+        for old, new in edits:
+            assert re.search(old, changed), (name, old)
+            changed = re.sub(old, new, changed, count=1)
+        folder = file.parent.with_name(f"test_{name}")
+        folder.mkdir()
+        (folder / "a.pafot.yaml").write_text(changed)
+    shutil.rmtree(file.parent)
+    project.write("\n".join(source))
+    return project
+
+
+def test_replays_read_so(replays, snapshot):
+    sessions = {
+        "failed": ["-rN", "-k", "not accepted"],
+        "accepted": ["-rx", "--pafot-today=2027-02-01", "-k", "accepted"],
+        "compared": ["-rN", "--pafot-against=policies:slower", "-k", "test_fails or passes_and"],
+    }
+    assert {
+        name: replays.run(*args, runs=0).stdout.str() for name, args in sessions.items()
+    } == snapshot
+
+
+# --- searches
+
+
+KINDS = {
+    "collision": (
+        "policies.cruise",
+        "blame='ego', shrink_runs=40",
+        "assert not run.collision, run.explain()",
+    ),
+    "check": (
+        "policies.cruise",
+        "",
+        "pafot.check(-run.ego.acceleration, name='braking', at_most=5.0, unit='m/s^2')",
+    ),
+    "measure": ("policies.cruise", "", "assert run.min_ttc > 1.0"),
+    "error": ("policies.raises", "", "pass"),
+    "hang": ("policies.hangs", "world=pafot.Highway(hang_limit=0.2), shrink_runs=0", "pass"),
+    "flaky": ("policies.flaky", "SHORT, shrink_runs=0", "assert run.hardest_brake < 1"),
+    "perceived": ("policies.blind", "SHORT", "assert round(float(run.ego.speed.max())) < 23"),
+    "differs": (
+        "policies.late",
+        "npcs=1, genes=1, gene_seconds=20, ego_speed=22, instructions='cells', "
+        "against=policies.early",
+        "assert not run.collision",
+    ),
+    "skips": (
+        "policies.cruise",
+        "",
+        "run.collision or pytest.skip('no')\n    assert not run.collision",
+    ),
+}
+"""The policy, the arguments of a search and the body of its test, for several kinds of failures."""
+POLICIES_OF_KINDS = """
+import pytest_pafot as pafot
+
+calls = []
+
+def cruise():
+    def drive(seen):
+        ahead = [other for other in seen.others if other.lane == seen.ego.lane and other.x > seen.ego.x]
+        late = any(other.x - seen.ego.x < 1.5 * (seen.ego.speed - other.speed) for other in ahead)
+        return (-6.0 if late else min(28.0 - seen.ego.speed, 2.0)), 0.0
+    return drive
+
+def near(seen):
+    return any(abs(other.x - seen.ego.x) < 10 for other in seen.others)
+
+def raises():
+    return lambda seen: (1 / (not near(seen)), 0.0)
+
+def hangs():
+    def drive(seen):
+        is_near = near(seen)
+        while is_near: pass  # in one line, which is interrupted
+        return 0.0, 0.0
+    return drive
+
+def flaky():
+    calls.append(1)
+    brake = -3.0 if len(calls) % 2 else 0.0
+    return lambda seen: (brake, 0.0)
+
+class Blind:
+    def __call__(self, seen):
+        return (-9.0 if seen.others else 1.0), 0.0
+
+blind = pafot.Perception(Blind, latency=0.1, range=0.0)
+
+def late():
+    return lambda seen: (0.0, 0.0)
+
+def early():
+    def drive(seen):
+        ahead = [o.x - seen.ego.x for o in seen.others if o.lane == seen.ego.lane and o.x > seen.ego.x]
+        return (-6.0 if min(ahead, default=99.0) < 45.0 else 0.0), 0.0
+    return drive
+"""
+
+
+@pytest.fixture
+def kinds(project, examined, shrinking):
+    """Return a project with a search for each kind of failure, in sessions with all steps."""
+    project.pytester.makepyfile(policies=POLICIES_OF_KINDS)
+    tests = [
+        f"@pafot.search(ads={policy}, {arguments})  # stop_after=1\ndef test_{name}(run):\n    {body}\n"
+        for name, (policy, arguments, body) in KINDS.items()
+    ]
+    project.write("import policies\n\n" + "\n".join(tests))
+    return project
+
+
+def test_new_failures_read_so(kinds, monkeypatch, snapshot):
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(kinds.path / "summary.md"))
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    result = kinds.run("--pafot-report=page.html", runs=40, seed=2)
+    texts = {"terminal": result.stdout.str(), "job": (kinds.path / "summary.md").read_text()}
+    assert texts == snapshot
+
+
+PASSES = marked("SHORT")
+STOPS = """
+class Stops:
+    near = False
+
+    def __call__(self, observation):
+        self.near |= observation.time > 0.3 and any(abs(v.x - observation.ego.x) < 99 for v in observation.others)
+        return (-8.0 if self.near else 0.5 * (20.0 - observation.ego.speed)), 0.0
+
+@pafot.search(npcs=1, genes=6, gene_seconds=10, ads=lambda: Stops(), shrink_runs=0)
+def test_keeps_up(run):
+    pafot.check(run.ego.speed.mean(), name="pace", at_least=5.0)
+"""
+BLAMES_THE_EGO = """
+@pafot.search(npcs=4, genes=4, gene_seconds=5, blame="ego", ads=lambda: slows)
+def test_fault(run):
+    assert run.responsibility != "npc"
+
+def slows(seen):
+    return (-2.0 if seen.ego.speed > 12 else 0.3), 0.0
+"""
+SKIPPED = """
+@pytest.fixture
+def ads():
+    pytest.skip("no weights")
+
+""" + marked("SHORT")
+
+
+def test_searches_without_new_findings_read_so(project, monkeypatch, snapshot):
+    def session(source, *args, **options):
+        project.write(source)
+        return project.run(*args, **options).stdout.str()
+
+    texts = {
+        "short": session(PASSES, runs=None),
+        "without time": session(PASSES, "--pafot-max-time=0"),
+        "an NPC is responsible": session(BLAMES_THE_EGO, runs=100),
+        "generations": session(PASSES, "--pafot-generations=1", runs=None),
+    }
+    session(STOPS, runs=12)
+    texts["only known"] = session(STOPS, runs=12, seed=2)
+    project.pytester.makeini("[pytest]\npafot_generations = 0\n")
+    texts["no generations"] = session(PASSES, runs=None)
+    project.pytester.makeini("[pytest]\npafot_algorithm = magic\n")
+    texts["wrong key"] = session(PASSES, "test_it.py")
+    project.pytester.makeini("[pytest]\n")
+    with monkeypatch.context() as patch:
+        patch.setattr("pytest_pafot.plugin.session.LOG_SECONDS", 0.0)
+        patch.setattr("pytest_pafot.plugin.reporter.TERMINAL_SECONDS", 0.0)
+        texts["progress"] = session(PASSES, runs=2)
+    monkeypatch.setenv("CI", "true")
+    texts["skipped on CI"] = session(SKIPPED)
+    assert texts == snapshot
+
+
+# --- the end of a session
+
+
+def fail(error):
+    def failing(*arguments, **named):
+        raise error
+
+    return failing
+
+
+def test_problems_at_the_end_of_a_session_read_so(failing, monkeypatch, snapshot):
+    (failing.path / "taken").mkdir()
+    (failing.path / "elsewhere").mkdir()
+    (failing.path / "out").symlink_to("elsewhere")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(failing.path / "none" / "summary.md"))
+    outputs = ("--pafot-json=taken", "--pafot-report=out/page.html")
+    texts = {"unwritable": failing.run(*outputs).stdout.str()}
+    monkeypatch.delenv("GITHUB_STEP_SUMMARY")
+    faults = {
+        "records": ("plugin.reporter.unclaimed", ValueError("a fault")),
+        "page": ("report.page.render_page", KeyboardInterrupt("a fault")),
+        "summary": ("report.terminal.session_lines", ValueError("a fault")),
+    }
+    for name, (function, error) in faults.items():
+        with monkeypatch.context() as patch:
+            patch.setattr(f"pytest_pafot.{function}", fail(error))
+            texts[name] = failing.run("--pafot-report=x.html", runs=0).stdout.str()
+    failing.write("def test_other():\n    pass\n")
+    failing.pytester.makeconftest("")
+    texts["nothing to report"] = failing.run(
+        "--pafot-report=y.html", "--pafot-allow-orphans"
+    ).stdout.str()
+    assert texts == snapshot
+
+
+EXITS = """
+@pytest.fixture
+def leaves():
+    pytest.exit("enough", returncode=0)
+
+@pafot.search(SHORT)
+def test_in_fixture(run, leaves):
+    pass
+"""
+LEAVES = """
+import pytest
+
+def pytest_runtest_logfinish():
+    pytest.exit("enough", returncode=0)
+"""
+SWALLOWS = """
+import pytest
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_makereport(item, call):
+    report = yield
+    if report.failed:
+        report.outcome, report.longrepr = "passed", None
+    return report
+"""
+ALWAYS = marked(
+    ("ads=lambda: lambda observation: (0.0, 0.0), genes=2, shrink_runs=0", "assert run is None")
+)
+
+
+def test_sessions_that_end_early_read_so(project, monkeypatch, shrinking, snapshot):
+    texts, out = {}, {"no_reraise_ctrlc": True}
+    interrupted = IS_CUT.replace("SHORT", "SHORT, shrink_runs=20")
+    for save in ("new", "none"):
+        result = result_of(project, interrupted, f"--pafot-save={save}", **out)
+        texts[f"interrupted, {save}"] = result.stdout.str()
+        project.forget()
+    with monkeypatch.context() as patch:
+        patch.setattr("pytest_pafot.plugin.reporter.report_on", lambda report, when, **_: 1 / 0)
+        texts["unreportable"] = project.run("-rN", **out).stdout.str()
+    project.forget()
+    monkeypatch.setenv("CI", "true")
+    texts["exit in a fixture"] = result_of(project, EXITS).stdout.str()
+    project.pytester.makeconftest(LEAVES)
+    texts["exit in a hook"] = result_of(project, ALWAYS).stdout.str()
+    project.pytester.makeconftest(SWALLOWS)
+    texts["hidden failure"] = project.run("-rN", runs=0).stdout.str()
+    assert texts == snapshot
+
+
+def test_findings_that_are_not_saved_or_not_finished_read_so(
+    failing, shrinking, examined, monkeypatch, snapshot
+):
+    corpus = failing.path / "pafot_corpus"
+    texts = {"not wanted": failing.run("-rN", "--pafot-save=none").stdout.str()}
+    corpus.write_text("a file where the folder should be")
+    texts["a file instead of the folder"] = failing.run("-rN").stdout.str()
+    corpus.unlink()
+    (failing.path / "other").mkdir()
+    corpus.symlink_to("other")
+    texts["a link instead of the folder"] = failing.run("-rN").stdout.str()
+    corpus.unlink()
+
+    def end(turn, now, bench):
+        turn.is_over = True
+        raise OutOfBudget
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Turn, "check", end)
+        texts["not simplified"] = failing.run("-rN").stdout.str()
+    for error in (OutOfTime(), IndexError("not here")):
+        failing.forget()
+        monkeypatch.setattr(steps, "EXAMINATIONS", {"decisions": partial(fails_later, error)})
+        texts[f"not examined: {error!r}"] = failing.run("-rN", "--pafot-shrink-runs=0").stdout.str()
+    assert texts == snapshot
+
+
+def fails_later(error, *_):
+    raise error
+    yield
+
+
+def test_failures_that_another_session_saved_meanwhile_read_so(saved, snapshot):
+    file, elsewhere = saved.only_file, saved.path / "late"
+    file.rename(elsewhere)
+    late = f"def pytest_collection_finish():\n    import os\n    os.rename({str(elsewhere)!r}, {str(file)!r})\n"
+    saved.pytester.makeconftest(CONFTEST + late)
+    assert saved.run("-rN").stdout.str() == snapshot
