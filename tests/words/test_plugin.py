@@ -6,12 +6,22 @@ from functools import partial
 
 import pytest
 
+import pytest_pafot as pafot
 from pytest_pafot.findings.shrink import OutOfBudget
+from pytest_pafot.oracle.run import Rejected
 from pytest_pafot.searches.refine import steps
 from pytest_pafot.searches.refine.simplest import Turn
-from pytest_pafot.support.errors import OutOfTime
-from tests.plugin.conftest import CONFTEST
+from pytest_pafot.support.errors import OutOfTime, RequestError
+from tests.plugin.conftest import CONFTEST, FAILING
+from tests.plugin.test_against import AGAINST, ELSEWHERE, KEEPS, SPEEDS, policies
+from tests.plugin.test_against import TEST as COMPARED
+from tests.plugin.test_algorithms import OWN
 from tests.plugin.test_driving_on import POLICIES, filed
+from tests.plugin.test_elsewhere import fixed, searched
+from tests.plugin.test_guard import LEFT_OUT
+from tests.plugin.test_options import settings
+from tests.plugin.test_own_worlds import wrapped
+from tests.plugin.test_replay_item import SIMULATOR
 from tests.plugin.test_session_records import IS_CUT
 
 
@@ -752,3 +762,212 @@ def test_failures_that_another_session_saved_meanwhile_read_so(saved, snapshot):
     late = f"def pytest_collection_finish():\n    import os\n    os.rename({str(elsewhere)!r}, {str(file)!r})\n"
     saved.pytester.makeconftest(CONFTEST + late)
     assert saved.run("-rN").stdout.str() == snapshot
+
+
+# --- saved scenarios and tests that a session leaves out
+
+
+def test_what_a_session_leaves_out_reads_so(saved, monkeypatch, snapshot):
+    file = saved.only_file
+    for number in range(6):
+        shutil.copy(file, file.with_name(f"a-{number}.pafot.yaml"))
+    saved.write(FAILING.replace("test_fails", "test_fails_fast"))
+    texts = {"here": saved.run(runs=0).stdout.str()}
+    monkeypatch.setenv("CI", "true")
+    texts["on CI"] = saved.run("--pafot-json=pafot.json", runs=0).stdout.str()
+    texts["orphans"] = saved.record["orphans"]
+    monkeypatch.setattr("pytest_pafot.plugin.guard.MAX_FOLDERS", 1)
+    texts["too many folders"] = saved.run(runs=0).stdout.str()
+    saved.forget()
+    saved.write(LEFT_OUT)
+    not_collected = saved.run("-Wignore::pytest.PytestCollectionWarning", "-k", "other", runs=0)
+    texts["not collected"] = not_collected.stdout.str()
+    assert texts == snapshot
+
+
+# --- comparison with a reference
+
+
+def test_comparisons_read_so(project, snapshot):
+    texts = {}
+
+    def compared(name, now, before, *args, **options):
+        policies(project, now, before)
+        texts[name] = project.run(
+            "-rN", AGAINST, "-pno:cacheprovider", *args, **options
+        ).stdout.str()
+
+    project.write(COMPARED.replace("MORE", ""))
+    one, other = (ELSEWHERE.replace("PART", part) for part in "01")
+    compared("no worse", one, f"{other}# before", "--pafot-report=page.html")
+    compared("with itself", KEEPS, KEEPS)
+    compared("worse", SPEEDS, KEEPS)
+    compared("both fail", SPEEDS, f"{SPEEDS}# before", runs=0)
+    compared("fixed", KEEPS, SPEEDS, runs=0)
+    compared("broken reference", KEEPS, KEEPS.replace("observation:", "observation, more:"), runs=0)
+    project.forget()
+    compared(
+        "search with a broken reference", SPEEDS, KEEPS.replace("(0.0, 0.0)", "observation.lanes")
+    )
+    assert texts == snapshot
+
+
+def test_replays_and_the_search_of_their_test_read_so(project, snapshot):
+    texts = {}
+    for policy in ("careful", "braking"):
+        fixed(project, policy)
+        texts[policy] = searched(project, "-rN", runs=12)[0].stdout.str()
+        project.forget()
+    fixed(project, "careful")
+    texts["few runs"] = project.run("-rN", "--pafot-max-time=0").stdout.str()
+    assert texts == snapshot
+
+
+# --- other worlds, algorithms and fixtures
+
+
+OWN_ALGORITHM = marked("SHORT, algorithm=Own", "SHORT, algorithm='av-fuzzer', instructions='cells'",
+                       "SHORT, algorithm='pafot', instructions='lanes'")  # fmt: skip
+
+
+def test_worlds_and_algorithms_of_the_user_read_so(project, monkeypatch, snapshot):
+    wrapped(project)
+    project.run(runs=20)
+    wrapped(project, "", "(5, 5)", "outcome")
+    texts = {"other wrappers": project.run("-rN", "--pafot-strict-drift", runs=0).stdout.str()}
+    wrapped(project)
+    path = project.path / "test_it.py"
+    path.write_text(path.read_text().replace("highway-v0", "highway-fast-v0"))
+    texts["another environment"] = project.run("-rN", runs=0).stdout.str()
+    project.forget()
+    project.write("import itertools\nfrom gymnasium.wrappers import TransformAction\n" + DRAWING)
+    texts["a wrapper draws"] = project.run("-rN").stdout.str()
+    project.forget()
+    project.pytester.makepyfile(own=OWN, test_it=SIMULATOR)
+    monkeypatch.setenv("JUMPS_AT", "10000")
+    project.run("--pafot-stop-after=1", runs=20)
+    monkeypatch.setenv("JUMPS_AT", "20")
+    texts["a vehicle jumps"] = project.run("-rN", runs=0).stdout.str()
+    project.forget()
+    texts["algorithms"] = result_of(
+        project, "from own import Own\n" + OWN_ALGORITHM, "-v", runs=16
+    ).stdout.str()
+    assert texts == snapshot
+
+
+DRAWING = """
+calls = itertools.count()
+
+def drawing(env):
+    action = 3 if next(calls) % 2 else 1
+    return TransformAction(env, lambda _: action, env.action_space)
+
+WORLD = pafot.World("highway-v0", duration=2.0, wrappers=[drawing])
+
+@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, shrink_runs=0)  # stop_after=1
+def test_drives(run):
+    assert run.ego.speed.mean() < 1
+"""
+SIMULATES = """
+SCENARIO = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
+
+class Standing(pafot.Simulator):
+    def start(self, vehicles, seed):
+        self.cars, self.ticks = [[each.x, each.y, each.heading, each.speed] for each in vehicles], 0
+
+    def step(self, controls):
+        self.ticks += 1
+        if self.ticks < 5:
+            self.cars = [[each.x, each.y, each.heading, each.speed] for each in controls]
+
+    def states(self):
+        return self.cars
+
+    def close(self):
+        raise OSError("no")
+
+def broken(observation):
+    return observation.ego.sped, 0.0
+
+def test_fails(pafot_simulate):
+    assert not pafot_simulate(SCENARIO, lambda: broken).collision
+
+def test_is_invalid(pafot_simulate):
+    pafot_simulate(SCENARIO, lambda: lambda observation: (0.0, 0.0), pafot.SimulatorWorld(Standing, duration=5.0))
+"""
+
+
+def test_simulated_scenarios_read_so(project, snapshot):
+    assert result_of(project, SIMULATES, "-W", "default").stdout.str() == snapshot
+
+
+def test_what_cannot_be_decorated_or_rejected_reads_so(snapshot):
+    errors = {}
+    calls = {
+        "object": lambda: pafot.search(ads="ads")(partial(print, 1)),
+        "lambda": lambda: pafot.search(ads="ads")(lambda run: None),
+        "reject": pafot.reject,
+    }
+    for name, call in calls.items():
+        with pytest.raises((TypeError, Rejected)) as raised:
+            call()
+        errors[name] = raised.value
+    assert errors == snapshot
+
+
+def test_xfail_in_a_marked_function_reads_so(saved, snapshot):
+    saved.write(
+        "@pafot.search(SHORT)\ndef test_fails(run):\n    run.ads_error or pytest.xfail('issue 12')\n"
+    )
+    assert saved.run("-rN").stdout.str() == snapshot
+
+
+# --- options
+
+
+WRONG_VALUES = [
+    {"marker": {"generations": -1}},
+    {"marker": {"seed": 2**80}},
+    {"marker": {"isolate": "perhaps"}},
+    {"ini": "pafot_workers = 5000"},
+    {"ini": "pafot_max_time = nan"},
+    {"ini": "pafot_max_time = soon"},
+    {"ini": "pafot_save = some"},
+    {"ini": "pafot_generations = as many"},
+    {"ini": "pafot_generations ="},
+    {"ini": "pafot_isolate = perhaps"},
+]
+WRONG_OPTIONS = (
+    "stop-after=one",
+    "today=31.1.2027",
+    "json=new/",
+    "report=report.pdf",
+    "report=report/",
+    "report=page",
+)
+
+
+def test_wrong_values_of_options_read_so(project, monkeypatch, snapshot):
+    monkeypatch.delenv("PYTEST_ADDOPTS")
+    errors = {}
+    for source in WRONG_VALUES:
+        with pytest.raises(RequestError) as raised:
+            settings(project, **source)
+        errors[str(source)] = raised.value
+    for option in WRONG_OPTIONS:
+        result = project.run(f"--pafot-{option}", runs=None)
+        assert result.ret == pytest.ExitCode.USAGE_ERROR
+        errors[option] = next(line for line in result.errlines if "error:" in line).partition(
+            "error:"
+        )[2]
+    errors["unrequested reference"] = result_of(
+        project, PASSES, "--pafot-against=old_ads"
+    ).stdout.str()
+    assert errors == snapshot
+
+
+def test_help_reads_so(project, monkeypatch, snapshot):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = project.run("--help", runs=None, seed=None).stdout.str()
+    parts = re.findall(r"(?ms)^pafot:.*?(?=^\S)|^  pafot_.*?(?=^  \w|^\S)", text)
+    assert parts == snapshot
