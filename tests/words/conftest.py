@@ -19,7 +19,7 @@ PACKAGES = "gymnasium|highway-env|hypothesis|numpy|pluggy|pytest|pytest-pafot|py
 CHANGES = [
     # pytest's own lines: the header, rules as wide as the terminal, the progress, and how long the session took
     (r"^(platform|rootdir:|configfile:|plugins:|cachedir:|Using --randomly-seed).*\n", ""),
-    (r"([=_-])\1{3,}", r"\1\1\1"),
+    (r"([=_!-])\1{3,}", r"\1\1\1"),
     (r" +\[ *\d+%\]$", ""),
     (r"\bin \d+\.\d+s( \([\d:]+\))?", "in TIME"),
     (r"\b(took|in|after|about|another) [\d.,]+ (ms|s|min|h)\b(?= left| on the clock|[.,;]? *$)", r"\1 TIME"),

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import sys
 from functools import partial
 
 import pytest
@@ -22,7 +23,10 @@ from tests.plugin.test_guard import LEFT_OUT
 from tests.plugin.test_options import settings
 from tests.plugin.test_own_worlds import wrapped
 from tests.plugin.test_replay_item import SIMULATOR
+from tests.plugin.test_retrying import OWNER, write
 from tests.plugin.test_session_records import IS_CUT
+from tests.plugin.test_stuck_ads import STUCK
+from tests.plugin.test_stuck_ads import TESTS as TESTS_OF_THE_STUCK
 
 
 @pytest.fixture
@@ -949,7 +953,8 @@ WRONG_OPTIONS = (
 
 def test_wrong_values_of_options_read_so(project, monkeypatch, snapshot):
     monkeypatch.delenv("PYTEST_ADDOPTS")
-    errors = {}
+    reference = result_of(project, PASSES, "--pafot-against=old_ads")
+    errors = {"unrequested reference": reference.stdout.str()}
     for source in WRONG_VALUES:
         with pytest.raises(RequestError) as raised:
             settings(project, **source)
@@ -960,14 +965,126 @@ def test_wrong_values_of_options_read_so(project, monkeypatch, snapshot):
         errors[option] = next(line for line in result.errlines if "error:" in line).partition(
             "error:"
         )[2]
-    errors["unrequested reference"] = result_of(
-        project, PASSES, "--pafot-against=old_ads"
-    ).stdout.str()
     assert errors == snapshot
 
 
 def test_help_reads_so(project, monkeypatch, snapshot):
     monkeypatch.setenv("COLUMNS", "80")
     text = project.run("--help", runs=None, seed=None).stdout.str()
-    parts = re.findall(r"(?ms)^pafot:.*?(?=^\S)|^  pafot_.*?(?=^  \w|^\S)", text)
-    assert parts == snapshot
+    assert re.findall(r"(?ms)^pytest-pafot:.*?(?=^\S)", text) == snapshot
+
+
+# --- processes that died
+
+
+forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+
+@forks
+def test_processes_that_died_in_an_earlier_session_read_so(project, snapshot):
+    texts = {}
+    cases = {
+        "completes": ("None", None),
+        "dies again": ("os._exit(9)", None),
+        "is killed again": ("os.kill(os.getpid(), signal.SIGKILL)", None),
+        "raises": ("1 / 0", None),
+        "the world is gone": ("None", {"kind": "mine"}),
+    }
+    for name, (act, world) in cases.items():
+        write(project, act)
+        project.leave_behind(OWNER, world=world)
+        texts[name] = project.run("-rN", runs=0).stdout.str()
+        project.forget()
+    project.write(RAISES_LATER)
+    project.leave_behind(OWNER)
+    texts["raises later"] = project.run("-rN", runs=0).stdout.str()
+    project.write(FAILING)
+    project.leave_crash("test_it.py::test_fails")
+    texts["crash"] = project.run("-rN", runs=0).stdout.str()
+    project.mend()
+    texts["crash that became a failure"] = project.run("-rN", runs=0).stdout.str()
+    assert texts == snapshot
+
+
+RAISES_LATER = """
+def drive(observation):
+    if observation.time > 1:
+        raise KeyError("lane")
+    return 0.0, 0.0
+
+@pafot.search(SHORT, ads=lambda: drive)
+def test_it(run):
+    pass
+"""
+ENDS = """
+import os, sys
+
+SESSION = os.getpid()
+
+def ends(seen):
+    if seen.time > WHEN and os.getpid() != SESSION:
+        HOW
+    return 0.0, 0.0
+
+@pafot.search(SHORT, ads=lambda: ends, shrink_runs=0)  # stop_after=1
+def test_ends(run):
+    assert not run.collision
+"""
+
+
+@forks
+@pytest.mark.processes
+def test_processes_that_die_read_so(project, monkeypatch, snapshot):
+    texts = {}
+
+    def session(name, *args, how="os._exit(9)", when=1, **options):
+        project.write(ENDS.replace("HOW", how).replace("WHEN", str(when)))
+        result = project.run("-rN", *args, **{"apart": True, "runs": 4} | options)
+        texts[name] = result.stdout.str()
+
+    session("isolated", "--pafot-isolate")
+    session("isolated replay", runs=0)
+    session("no process of the session", "-pno:cacheprovider", runs=1)
+    project.forget()
+    session("raises there", "--pafot-isolate", how="sys.modules.clear()")
+    project.forget()
+    monkeypatch.setattr("pytest_pafot.execution.runner.GRACE", 0.4)
+    hangs = "sum(range(10**12))"
+    session("hangs", "--pafot-isolate", how=hangs, apart=False)
+    assert texts == snapshot
+
+
+@forks
+@pytest.mark.processes
+def test_policies_that_end_or_stop_the_session_read_so(project, snapshot):
+    texts = {}
+    project.pytester.makeconftest(STUCK.replace("HANG", "swallow"))
+    project.write(TESTS_OF_THE_STUCK)
+    texts["ignores an interrupt"] = project.run("-rN", runs=36, seed=6, apart=True).stdout.str()
+    texts["next session"] = project.run("-rN", runs=0, apart=True).stdout.str()
+    project.forget()
+    source = ENDS.replace(" and os.getpid() != SESSION", "").replace("HOW", "os._exit(0)")
+    project.write(source.replace("WHEN", "1"))
+    ended = project.run("-rN", "-pcacheprovider", apart=True)
+    texts["ends the session"] = ended.stdout.str() + ended.stderr.str()
+    texts["session after that"] = project.run("-rN", "-pcacheprovider", apart=True).stdout.str()
+    assert texts == snapshot
+
+
+@forks
+@pytest.mark.processes
+def test_workers_read_so(project, snapshot):
+    pytest.importorskip("xdist")
+    project.write("import time\n" + marked("SHORT, ads=slow") + SLOW)
+    texts = {
+        "workers": project.run("--pafot-workers=2", "-pno:cacheprovider", runs=8).stdout.str(),
+        "xdist": project.run("-n1", "--pafot-workers=2", runs=2).stdout.str(),
+    }
+    assert texts == snapshot
+
+
+SLOW = """
+def slow():
+    time.sleep(0.015)
+    return lambda seen: (0.0, 0.0)
+"""
