@@ -29,9 +29,12 @@ CHANGES = [
     (r"\b0x[0-9a-f]{6,}", "0xADDRESS"),
     (r"\bVehicle #\d+", "Vehicle #N"),  # highway-env numbers vehicles by their addresses
     (rf"\b({PACKAGES})([ -]|==)\d+(\.\w+)+", r"\1\2VERSION"),
+    (r"^pafot: .* \d+/\d+ runs, .*\n", ""),  # the progress, which only slow searches show
     (r"^(pafot: kernel) .*", r"\1 KIND"),  # compiled or interpreted
     # Python before and after 3.13 underlines other parts of a line. Compiled modules have other tracebacks.
     (r"^[E ]*[ ~^]*[~^]{2}[ ~^]*\n", ""),
+    (r"ROOT/pytest_pafot/\S+\.py:\d+", "ROOT/pytest_pafot/MODULE.py:LINE"),
+    (r"^( +ROOT/pytest_pafot/MODULE.py:LINE: .*Warning: .*\n) +.*\n", r"\1"),
     (r'^ *File "[^"]*pytest_pafot/[^"]*", line \d+, in .*\n( {4,}.*\n)?', ""),
 ]  # fmt: skip
 """Regular expressions for what differs between machines, and what replaces it."""
