@@ -22,10 +22,10 @@ CHANGES = [
     (r"([=_!-])\1{3,}", r"\1\1\1"),
     (r" +\[ *\d+%\]$", ""),
     (r"\bin \d+\.\d+s( \([\d:]+\))?", "in TIME"),
-    (r"\b(took|in|after|about|another) [\d.,]+ (ms|s|min|h)\b(?= left| on the clock|[.,;]? *$)", r"\1 TIME"),
     (r"\btook [\d.,]+ (ms|s|min|h)\b", "took TIME"),
     (r"[\d.,]+ (runs?/s|(m?s|min|h) per (run|decision))", r"N \1"),
     (r"\b(pid|process) \d+", r"\1 N"),
+    (r"(\.\./)*\bpafot-\w{8}/", "TEMPORARY/"),
     (r"\b0x[0-9a-f]{6,}", "0xADDRESS"),
     (r"\bVehicle #\d+", "Vehicle #N"),  # highway-env numbers vehicles by their addresses
     (rf"\b({PACKAGES})([ -]|==)\d+(\.\w+)+", r"\1\2VERSION"),

@@ -1039,12 +1039,14 @@ def test_processes_that_die_read_so(project, monkeypatch, snapshot):
         project.write(ENDS.replace("HOW", how).replace("WHEN", str(when)))
         result = project.run("-rN", *args, **{"apart": True, "runs": 4} | options)
         texts[name] = result.stdout.str()
+        return result
 
     session("isolated", "--pafot-isolate")
     session("isolated replay", runs=0)
     session("no process of the session", "-pno:cacheprovider", runs=1)
     project.forget()
-    session("raises there", "--pafot-isolate", how="runner.run_recorded = None")
+    raises = session("raises there", "--pafot-isolate", how="runner.run_recorded = None")
+    texts["raises there"] = [line for line in raises.outlines if line.startswith("E ")]
     project.forget()
     monkeypatch.setattr("pytest_pafot.execution.runner.GRACE", 0.4)
     hangs = "sum(range(10**12))"
