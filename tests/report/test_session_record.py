@@ -16,7 +16,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session import Session
 from pytest_pafot.report.session_record import FINDING, NOT_WRITTEN, finding_entry, to_text
-from pytest_pafot.report.terminal import add_event, search_lines
+from pytest_pafot.report.terminal import add_event
 from pytest_pafot.searches.events import Search
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding, sighting
@@ -59,15 +59,14 @@ def test_every_record_is_read_as_it_was_written(search, finding, warning, proble
 
 def test_finding_names_the_traffic_it_was_driven_in():
     scenario = replace(plain_finding().scenario, traffic="everyday")
-    told, finding = "everyday traffic (as most drivers drive)", plain_finding(scenario=scenario)
-    assert finding_entry(sighting(finding={"scenario": scenario}))["traffic"] == told
+    finding = plain_finding(scenario=scenario)
+    told = finding_entry(sighting(finding={"scenario": scenario}))["traffic"]
+    assert "everyday" in told
     assert finding_entry(sighting())["traffic"] == ""
-    view = view_of(None, finding)
-    assert f"<li>{told}</li>" in finding_article(view, 0)
     trace = Highway(duration=1.0).rollout(scenario, lambda: lambda observation: (0.0, 0.0))
-    explanation = Run(trace).explain()
-    assert explanation.endswith(f", scenario seed 7, {told}")
-    assert f"<li>{told}</li>" in finding_article(view_of(trace), 0)
+    for view in (view_of(None, finding), view_of(trace)):
+        assert f"<li>{told}</li>" in finding_article(view, 0)
+    assert Run(trace).explain().endswith(f", scenario seed 7, {told}")
 
 
 def test_keys_are_sorted_and_include_the_version():
@@ -136,13 +135,9 @@ def test_every_key_is_described_in_a_docstring(thing, names):
 def test_a_finding_tells_of_the_worst_run_that_failed_like_it():
     own, worse = (Severity(kind="collision", value=speed, unit="m/s") for speed in (3.0, 14.2))
     seen = sighting(severity=own, alike=Alike(runs=11, number=87, severity=worse))
-    assert seen.worst == "the worst one hits at 14.2 m/s"
+    assert "14.2 m/s" in seen.worst
     assert replace(seen, alike=Alike(runs=11, number=3, severity=own)).worst == ""
     assert finding_entry(seen)["worst"] == {"number": 87, "severity": asdict(worse)}
-    assert seen.impacts == ", closing at 3.0 to 14.2 m/s"
-    assert f"  {seen.id}: 12 runs{seen.impacts} (new)." in search_lines(
-        Search(node_id="t", finds=(seen,)), width=99
-    )
-    assert f"<li>{seen.worst}</li>" in finding_article(
-        as_seen(view_of(None, plain_finding()), observed=seen.observed, alike=seen.alike), 0
-    )
+    assert "3.0 to 14.2 m/s" in seen.impacts
+    view = as_seen(view_of(None, plain_finding()), observed=seen.observed, alike=seen.alike)
+    assert f"<li>{seen.worst}</li>" in finding_article(view, 0)

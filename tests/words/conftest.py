@@ -23,12 +23,12 @@ CHANGES = [
     (r" +\[ *\d+%\]$", ""),
     (r"\bin \d+\.\d+s( \([\d:]+\))?", "in TIME"),
     (r"\btook [\d.,]+ (ms|s|min|h)\b", "took TIME"),
-    (r"[\d.,]+ (runs?/s|(m?s|min|h) per (run|decision))", r"N \1"),
     (r"\b(pid|process) \d+", r"\1 N"),
     (r"(\.\./)*\bpafot-\w{8}/", "TEMPORARY/"),
     (r"\b0x[0-9a-f]{6,}", "0xADDRESS"),
     (r"\bVehicle #\d+", "Vehicle #N"),  # highway-env numbers vehicles by their addresses
-    (rf"\b({PACKAGES})([ -]|==)\d+(\.\w+)+", r"\1\2VERSION"),
+    (r"\bTODAY \d\d:\d\d(:\d\d)? UTC", "NOW"),
+    (rf"\b({PACKAGES})([\s-]|==)\d+(\.\w+)+", r"\1\2VERSION"),
     (r"^pafot: .* \d+/\d+ runs, .*\n", ""),  # the progress, which only slow searches show
     (r"^(pafot: kernel) .*", r"\1 KIND"),  # compiled or interpreted
     # Python before and after 3.13 underlines other parts of a line. Compiled modules have other tracebacks.
