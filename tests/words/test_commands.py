@@ -16,6 +16,7 @@ from pytest_pafot.commands.tasks import run_tasks
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.model.trace import Outcome
+from tests.commands.test_receipt import EXPLORED, IMPORTS, MARKED, SEARCH, ended, session
 from tests.commands.test_replay_command import ACCEPTED
 from tests.commands.test_replay_command import here as saved  # noqa: F401
 from tests.commands.test_tasks import work
@@ -211,3 +212,14 @@ def test_a_task_whose_process_ends_reads_so(snapshot):
     with pytest.raises(ChildProcessError) as raised:
         list(run_tasks(work, ["a", "ends"], 2))
     assert raised.value == snapshot
+
+
+@pytest.mark.processes
+def test_assertions_that_are_off_read_so(tmp_path, monkeypatch, snapshot):
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
+    monkeypatch.setenv("COLUMNS", "999")
+    imported = f"{IMPORTS}test_it = pafot.search(ads=Old)(holds)\n"
+    texts = {"session": session(tmp_path, test_it=MARKED + EXPLORED, test_imported=imported)}
+    code, texts["search"] = ended(tmp_path, f"{SEARCH} --check planner:check", options=["-O"])
+    assert (code, texts) == (2, snapshot)
