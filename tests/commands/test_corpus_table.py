@@ -137,11 +137,8 @@ def test_since_is_empty_where_git_does_not_know_it(repository, capsys, monkeypat
 def test_each_repository_is_asked_for_its_own_files(repository, capsys, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside")
     save(outside, finding("c"))
-    assert days(listed(capsys, str(outside), ".")) == {
-        "a": "2026-10-01",
-        "b": "2026-10-02",
-        "c": "",
-    }
+    expected = {"a": "2026-10-01", "b": "2026-10-02", "c": ""}
+    assert days(listed(capsys, str(outside), ".")) == expected
 
 
 def test_the_list_that_a_ci_job_names_has_the_findings(here, capsys):

@@ -60,8 +60,7 @@ class Planner:
         raise RuntimeError(f"{self!r} of {threading.current_thread()!r}, pid {os.getpid()}: no {file} in {__file__}")
 
 @pafot.search(SHORT, ads=Planner)  # stop_after=1
-def test_fails(run):
-    pass
+def test_fails(run): pass
 """
 
 

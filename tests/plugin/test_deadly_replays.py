@@ -18,11 +18,9 @@ forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked
 
 TESTS = """
 @pafot.search(SHORT)
-def test_it(run):
-    pass
+def test_it(run): pass
 
-def test_ordinary():
-    pass
+def test_ordinary(): pass
 """
 
 DIES = """

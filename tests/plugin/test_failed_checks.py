@@ -63,10 +63,8 @@ def buggy(project, monkeypatch, shrinking):
 def test_two_checks_make_one_shrunk_finding_each(buggy):
     result = buggy.run_once(runs=48, seed=1)
     result.assert_outcomes(failed=3)
-    assert sorted(re.findall(r"(\w+)-[0-9a-f]{6}\.pafot\.yaml", " ".join(buggy.files))) == [
-        "headway",
-        "jerk",
-    ]
+    expected = ["headway", "jerk"]
+    assert sorted(re.findall(r"(\w+)-[0-9a-f]{6}\.pafot\.yaml", " ".join(buggy.files))) == expected
     text = result.stdout.str()
     for check in (
         r"jerk = \d+\.\d > 40 m/s\^3 at \d+\.\d s",

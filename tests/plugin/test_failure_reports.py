@@ -268,8 +268,7 @@ def ads(request):
     return lambda: lambda observation: (print("x" * 10_000), (0.0, 0.0))[1]
 
 @pafot.search(SHORT)
-def test_passes(run):
-    pass
+def test_passes(run): pass
 
 def test_texts():
     assert ["pytest -s" in each for each in TEXTS if each] == [True]

@@ -396,51 +396,41 @@ def test_files_behind_links_are_searched_no_deeper_than_tests(saved, ci, tmp_pat
 
 LEFT_OUT = """
 @pafot.search(SHORT)
-def never_at_fault(run):
-    pass
+def never_at_fault(run): pass
 
 @pafot.search(SHORT)
 class Safety:
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 
 class SafetySuite:
     @pafot.search(SHORT)
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 
 class TestIt:
     @pafot.search(SHORT)
-    def drives(self, run):
-        pass
+    def drives(self, run): pass
 
 @pafot.search(SHORT)
 class TestEmpty:
-    def check_it(self, run):
-        pass
+    def check_it(self, run): pass
 
 class TestConstructed:
-    def __init__(self):
-        pass
+    def __init__(self): pass
 
     @pafot.search(SHORT)
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 
 @pafot.search(SHORT)
 def test_twice(run):
     assert not run
 
-def test_twice():
-    pass
+def test_twice(): pass
 
 if pytest:
     @pafot.search(SHORT)
-    def test_once(run):
-        pass
+    def test_once(run): pass
 else:
-    def test_once():
-        pass
+    def test_once(): pass
 """
 IN_CONFTEST = """
 import pytest_pafot as pafot
@@ -453,21 +443,17 @@ COLLECTED = """
 from shared import test_shared, Shared
 
 @pafot.search(SHORT)
-def never(run):
-    pass
+def never(run): pass
 
 test_never = never
 
 @pafot.search(SHORT)
 class Base:
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 
-class TestDerived(Base):
-    pass
+class TestDerived(Base): pass
 
-class TestShared(Shared):
-    pass
+class TestShared(Shared): pass
 
 @pafot.search(SHORT)
 class Helper:
@@ -476,18 +462,15 @@ class Helper:
 class Meta(type):
     pytestmark = pytest.mark.skip
 
-def drives(run):
-    pass
+def drives(run): pass
 """
 SHARED = """
 @pafot.search(SHORT)
-def test_shared(run):
-    pass
+def test_shared(run): pass
 
 class Shared:
     @pafot.search(SHORT)
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 """
 
 

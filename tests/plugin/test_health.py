@@ -13,8 +13,7 @@ def parked():
     return lambda observation: (-8.0, 0.0)
 
 @pafot.search(npcs=1, genes=4, gene_seconds=10, ads=parked)
-def test_parked(run):
-    pass
+def test_parked(run): pass
 """)
     project.run("--pafot-json=pafot.json", runs=8).assert_outcomes(passed=1)
     assert project.record.searches[0].warnings

@@ -43,8 +43,7 @@ def test_many(run):
     assert not run.collision
     assert run.min_distance > 1.9
 
-def test_ordinary():
-    pass
+def test_ordinary(): pass
 """
 
 DIES = """

@@ -36,8 +36,7 @@ def test_vehicle_class_works_in_search_and_replay(project, in_highway_env):
 
 
 RAISING = """
-class Panic(BaseException):
-    pass
+class Panic(BaseException): pass
 
 def drive(observation):
     if observation.time > 1:
@@ -45,8 +44,7 @@ def drive(observation):
     return 0.0, 0.0
 
 @pafot.search(SHORT, ads=lambda: drive, shrink_runs=0)
-def test_drive(run):
-    pass
+def test_drive(run): pass
 """
 
 RAISED = {

@@ -4,15 +4,24 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 
+CHECK = """
+failures = []
+
+def is_true(x):
+    x or failures.append(x)
+
+def any_failures():
+    return bool(failures)
+"""
+"""A module that collects failures, as pytest-check does."""
+
 
 def test_policy_may_be_named_with_its_argument_and_recorder_of_warnings_holds_those_of_one_run(
     project,
 ):
     named = "class Planner:\n    def __init__(self, text):\n        assert text == 'a:b'\n"
     named += "    def __call__(self, observation):\n        return 0.0, 0.0\n"
-    checking = "failures = []\n\ndef is_true(x):\n    x or failures.append(x)\n\n"
-    checking += "def any_failures():\n    return bool(failures)\n"
-    project.pytester.makepyfile(named=named, pytest_check=checking)
+    project.pytester.makepyfile(named=named, pytest_check=CHECK)
     project.write("""
 import warnings
 import pytest_check
@@ -99,8 +108,7 @@ def test_skipping_every_scenario_skips_the_test(project, skip):
 def test_any_other_exception_of_test_function_is_finding(project):
     raised = ["GeneratorExit", "Panic('lost')", "Mute", "MuteAndExits"]
     classes = """
-class Panic(BaseException):
-    pass
+class Panic(BaseException): pass
 
 class Mute(Exception):
     def __str__(self):

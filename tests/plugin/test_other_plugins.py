@@ -44,10 +44,8 @@ OTHERS = {
 def test_passing_search_without_cache_leaves_no_files(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
     project.run("-p", "no:cacheprovider").assert_outcomes(passed=1)
-    assert {path.name for path in project.path.iterdir()} - {"__pycache__"} == {
-        "conftest.py",
-        "test_it.py",
-    }
+    expected = {"conftest.py", "test_it.py"}
+    assert {path.name for path in project.path.iterdir()} - {"__pycache__"} == expected
 
 
 @pytest.mark.parametrize("plugin", OTHERS)

@@ -129,8 +129,7 @@ def leaves():
     pytest.exit("enough", returncode=0)
 
 @pafot.search(SHORT)
-def test_in_fixture(run, leaves):
-    pass
+def test_in_fixture(run, leaves): pass
 """
 
 

@@ -78,11 +78,8 @@ def test_a_search_and_its_find_are_recorded(failing):
     )
     assert (search.base_seed, search.seed) == (1, saved.found.seed)
     assert search.message.endswith(f": {find.id}")
-    assert (find.node_id, find.status, find.result) == (
-        f"test_it.py::test_fails[saved-{saved.id}]",
-        "new",
-        "failed",
-    )
+    expected = f"test_it.py::test_fails[saved-{saved.id}]", "new", "failed"
+    assert (find.node_id, find.status, find.result) == expected
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
     assert (find.signature, find.responsible) == (saved.signature.told, saved.expect.responsibility)
     assert find.runs == search.failing > 0
@@ -119,12 +116,8 @@ def test_unreadable_file_is_recorded_with_the_reason(saved):
     name = saved.files[0]
     saved.only_file.write_text("pafot: 99\n")
     (find,) = recorded(saved, runs=0).findings
-    assert (find.id, find.file, find.status, find.result) == (
-        saved.only_id,
-        name,
-        "error",
-        "failed",
-    )
+    expected = saved.only_id, name, "error", "failed"
+    assert (find.id, find.file, find.status, find.result) == expected
     assert "99" in find.detail
 
 

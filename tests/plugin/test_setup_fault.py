@@ -17,8 +17,7 @@ def drive(observation):
     BROKEN
 
 @pafot.search(SHORT, ads=lambda: drive)
-def test_drive(run):
-    pass
+def test_drive(run): pass
 """
 
 

@@ -64,8 +64,7 @@ TESTS = """
 def test_it(run):
     assert run.min_distance > 3, "what was found"
 
-def test_ordinary():
-    pass
+def test_ordinary(): pass
 """
 
 

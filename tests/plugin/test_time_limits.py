@@ -14,8 +14,7 @@ def slow(observation):
     return 0.0, 0.0
 
 @pafot.search(ads=lambda: slow)
-def test_slow(run):
-    pass
+def test_slow(run): pass
 """
 
 

@@ -83,8 +83,7 @@ def test_dies(run):
     assert run.scenario.id == ""
 
 @pytest.mark.parametrize("number", range(6))
-def test_ordinary(number):
-    pass
+def test_ordinary(number): pass
 """)
     result = project.run("-n1", "-v")
     assert result.parseoutcomes()["passed"] == 6

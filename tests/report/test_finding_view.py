@@ -131,13 +131,8 @@ def test_instructions_include_requested_and_driven_cells():
     asked, driven = scenario([(1, 20.0), (2, 8.0)]), scenario([(1, 20.0), (1, 8.0)])
     trace = replace(braking_ahead(), scenario=asked, executed=driven, arrivals=((30, None),))
     first, second = view_of(trace).instructions
-    assert (first.requested, first.cell, first.speed, first.start, first.end) == (
-        1,
-        1,
-        20.0,
-        0.0,
-        10.0,
-    )
+    expected = 1, 1, 20.0, 0.0, 10.0
+    assert (first.requested, first.cell, first.speed, first.start, first.end) == expected
     assert first.arrived == 2.0
     assert (second.requested, second.cell, second.started, second.arrived) == (2, 1, True, None)
 

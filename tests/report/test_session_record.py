@@ -48,11 +48,8 @@ def test_every_record_is_read_as_it_was_written(search, finding, warning, proble
     assert (record.warnings, record.problems) == ([warning], [problem])
     (told,) = record.searches
     assert (told.node_id, told.seed, told.reached) == (search.node_id, search.seed, search.reached)
-    assert (told.kinds, told.known, told.warnings) == (
-        search.kinds,
-        search.known,
-        list(search.warnings),
-    )
+    expected = search.kinds, search.known, list(search.warnings)
+    assert (told.kinds, told.known, told.warnings) == expected
     assert (told.finds, told.runs) == (["a", "A_b.c-d"], search.runs)
     assert [each.signature for each in record.findings] == [finding.signature.told]
 
@@ -99,12 +96,8 @@ def test_a_finding_tells_how_often_it_fails_then_and_now():
     entry = finding_entry(
         sighting(finding={"rate": then, "flaky": "it differs"}, label="drifted", rate=now)
     )
-    assert entry["rate"] == {
-        "failing": 7,
-        "runs": 10,
-        "of": "runs",
-        "now": {"failing": 2, "runs": 10},
-    }
+    expected = {"failing": 7, "runs": 10, "of": "runs", "now": {"failing": 2, "runs": 10}}
+    assert entry["rate"] == expected
     assert finding_entry(sighting())["rate"] is None
 
 

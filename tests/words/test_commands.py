@@ -57,20 +57,13 @@ def full(descriptor):
 
 
 SEARCHES = [
-    "search a_planner:Nobody",
-    "search a_planner.py:Planner",
-    "search broken:Planner",
-    "search test_safety:Planner",
-    "search a_planner:make:",
-    "search a_planner:Planner --check foo",
-    "search a_planner:Planner --check a_planner:nothing",
-    "search a_planner:Planner --check my-planner:make",
-    "search a_planner:Planner --against nobody",
-    "search a_planner:Planner --runs -1",
-    "search a_planner:Planner --report x.png",
-    "search a_planner:Planner --runz 3",
+    "search a_planner:Nobody", "search a_planner.py:Planner", "search broken:Planner", "search test_safety:Planner",
+    "search a_planner:make:", "search a_planner:Planner --check foo",
+    "search a_planner:Planner --check a_planner:nothing", "search a_planner:Planner --check my-planner:make",
+    "search a_planner:Planner --against nobody", "search a_planner:Planner --runs -1",
+    "search a_planner:Planner --report x.png", "search a_planner:Planner --runz 3",
     "search a_planner:Planner --write-test",
-]
+]  # fmt: skip
 
 
 def test_searches_that_cannot_start_read_so(here, says, monkeypatch, snapshot):
@@ -106,19 +99,13 @@ def test_searches_read_so(here, monkeypatch, snapshot):
 
 
 REPLAYS = [
-    f"replay {ACCEPTED}",
-    f"replay {ACCEPTED} --ads policies:Idel",
-    f"replay {ACCEPTED} --ads policies:Idle --world nothing-v0",
-    f"replay {ACCEPTED} --adz policies:Idle",
-    "replay crossing --ads policies:Idle --world highway-v0",
-    "replay flaky --ads policies:Idle",
-    "replay own --ads policies:Idle",
-    "replay newer --ads policies:Idle",
-    "replay large --ads policies:Idle",
-    "replay 'a [1].pafot.yaml' --ads policies:Idle",
-    "replay folder.pafot.yaml --ads policies:Idle",
+    f"replay {ACCEPTED}", f"replay {ACCEPTED} --ads policies:Idel",
+    f"replay {ACCEPTED} --ads policies:Idle --world nothing-v0", f"replay {ACCEPTED} --adz policies:Idle",
+    "replay crossing --ads policies:Idle --world highway-v0", "replay flaky --ads policies:Idle",
+    "replay own --ads policies:Idle", "replay newer --ads policies:Idle", "replay large --ads policies:Idle",
+    "replay 'a [1].pafot.yaml' --ads policies:Idle", "replay folder.pafot.yaml --ads policies:Idle",
     "replay nobody --ads policies:Idle",
-]
+]  # fmt: skip
 
 
 def test_replays_that_cannot_start_read_so(saved, says, monkeypatch, snapshot):  # noqa: F811

@@ -20,10 +20,13 @@ from tests.plugin.test_algorithms import OWN
 from tests.plugin.test_driving_on import POLICIES, filed
 from tests.plugin.test_elsewhere import fixed, searched
 from tests.plugin.test_guard import LEFT_OUT
+from tests.plugin.test_health import STOPS
+from tests.plugin.test_marked_functions import CHECK
 from tests.plugin.test_options import settings
 from tests.plugin.test_own_worlds import wrapped
 from tests.plugin.test_replay_item import SIMULATOR
 from tests.plugin.test_retrying import OWNER, write
+from tests.plugin.test_session_end import ALWAYS, EXITS, LEAVES, SWALLOWS
 from tests.plugin.test_session_records import IS_CUT
 from tests.plugin.test_stuck_ads import STUCK
 from tests.plugin.test_stuck_ads import TESTS as TESTS_OF_THE_STUCK
@@ -63,55 +66,43 @@ async def test_async(run):
 
 class TestCase(unittest.TestCase):
     @pafot.search
-    def test_method(self):
-        pass
+    def test_method(self): pass
 
 @pafot.search
-def test_nothing():
-    pass
+def test_nothing(): pass
 
 @pafot.search
-def test_misspelt(rnu):
-    pass
+def test_misspelt(rnu): pass
 
 @pytest.mark.parametrize("run", [1, 2])
 @pafot.search
-def test_double(run):
-    pass
+def test_double(run): pass
 
 @pytest.mark.pafot_search
-def test_raw(run):
-    pass
+def test_raw(run): pass
 
 @pytest.mark.pafot
-def test_bare(run):
-    pass
+def test_bare(run): pass
 
 @pytest.mark.pafot(ads=1)
-def test_given(run):
-    pass
+def test_given(run): pass
 
 @given(number=st.integers())
 @pafot.search
-def test_given_first(run, number):
-    pass
+def test_given_first(run, number): pass
 
 @pafot.search
 @given(number=st.integers())
-def test_search_first(run, number):
-    pass
+def test_search_first(run, number): pass
 
 @pafot.search(ads="named:Planer:a:b")
-def test_wrong_name(run):
-    pass
+def test_wrong_name(run): pass
 
 @pafot.search(ads="adss")
-def test_wrong_fixture(run):
-    pass
+def test_wrong_fixture(run): pass
 
 @pytest.mark.pafot
-def test_other():
-    pass
+def test_other(): pass
 """
 COLLECTING = """
 @pytest.fixture
@@ -129,15 +120,6 @@ def test_returns(run):
 
 """
 FIXTURES = ("subtests", "indirectly", "of_pytest_benchmark", "of_pytest_codspeed", "of_syrupy")
-CHECK = """
-failures = []
-
-def is_true(x):
-    x or failures.append(x)
-
-def any_failures():
-    return bool(failures)
-"""
 
 
 def test_functions_that_cannot_be_marked_read_so(project, snapshot):
@@ -177,28 +159,14 @@ def test_functions_that_hide_or_only_collect_failures_read_so(project, snapshot)
 
 
 WRONG = [
-    "colour='red'",
-    "5",
-    "today='a'",
-    "blame='npc'",
-    "ads=3",
-    "world=pafot.Highway",
-    "lanes=3",
-    "generations=0",
-    "shrink_runs=-1",
-    "algorithm='named:Nobody'",
-    "algorithm='magic'",
-]
+    "colour='red'", "5", "today='a'", "blame='npc'", "ads=3", "world=pafot.Highway", "lanes=3", "generations=0",
+    "shrink_runs=-1", "algorithm='named:Nobody'", "algorithm='magic'",
+]  # fmt: skip
 """Arguments that are an error of their item before any fixture."""
 REFUSED = [
-    "npcs=9",
-    "gene_seconds=0",
-    "SHORT, instructions='cell'",
-    "ego_lane=7",
-    "world=pafot.World('highway-v0', config={'colour': 1})",
-    "fitness='best'",
-    "fitness=lambda trace: 'high'",
-]
+    "npcs=9", "gene_seconds=0", "SHORT, instructions='cell'", "ego_lane=7",
+    "world=pafot.World('highway-v0', config={'colour': 1})", "fitness='best'", "fitness=lambda trace: 'high'",
+]  # fmt: skip
 """Arguments that only a world or a run can refuse."""
 
 
@@ -223,8 +191,7 @@ class Planner:
         return 0.0, 0.0
 
 class Configured(Planner):
-    def __init__(self, config):
-        pass
+    def __init__(self, config): pass
 
 class Model:
     def predict(self, observation, state=None, deterministic=False):
@@ -245,8 +212,7 @@ steering = pafot.World("highway-v0", duration=2.0, config={"action": {"type": "C
 class Road:
     rollout = to_dict = print
 
-class Derived(pafot.Highway):
-    pass
+class Derived(pafot.Highway): pass
 
 def keep(observation):
     return 0.0, 0.0
@@ -256,49 +222,20 @@ async def later(observation):
 
 """
 MISTAKES = [
-    "Planner",
-    "Planner()",
-    "model.predict",
-    "ads=Planner()",
-    "ads=lambda observation: (0.0, 0.0)",
-    "ads=keep",
-    "ads=lambda: (0.0, 0.0)",
-    "ads=lambda: print()",
-    "ads=lambda: model",
-    "ads=model",
-    "ads='trained'",
-    "ads='model.zip'",
-    "ads=Vehicle(None, [0, 0])",
-    "ads=lambda: Vehicle()",
-    "ads=Configured",
-    "world=five, ads=lambda: model.predict",
-    "world=ten, ads=lambda: lambda seen: model.predict(seen)[0]",
-    "ads=lambda: lambda seen: model.predict(seen)[0]",
-    "ads=lambda: lambda seen: 1",
-    "world=five, ads=Planner",
-    "world=five, ads=lambda: lambda seen: seen.ego",
-    "world=five, ads=lambda: lambda seen: np.zeros(5)",
-    "world=five, ads=lambda: lambda seen: 1.0",
-    "world=five, ads=lambda: lambda seen: None",
-    "world=five, ads=lambda: lambda seen: [[1], [2, 3]]",
-    "world=steering, ads=lambda: lambda seen: np.zeros((1, 2))",
-    "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)",
-    "ads=lambda: later",
-    "world='highway-v9'",
-    "world='builtins:print'",
-    "world='operator:neg'",
-    "world=pafot.Highway",
-    "world=Road()",
-    "world=Road",
-    "world=Derived()",
-    "world=gymnasium.make('highway-v0', config={'lanes_count': 3})",
-    "world=gymnasium.make('CartPole-v1')",
-    "worlds=five",
-    "ads=lambda: lambda seen: {}['lane']",
-    "ads=lambda: lambda seen: pytest.skip('no GPU')",
-    "ads=lambda: lambda seen: None",
-    "SHORT, against='old_ads'",
-]
+    "Planner", "Planner()", "model.predict", "ads=Planner()", "ads=lambda observation: (0.0, 0.0)", "ads=keep",
+    "ads=lambda: (0.0, 0.0)", "ads=lambda: print()", "ads=lambda: model", "ads=model", "ads='trained'",
+    "ads='model.zip'", "ads=Vehicle(None, [0, 0])", "ads=lambda: Vehicle()", "ads=Configured",
+    "world=five, ads=lambda: model.predict", "world=ten, ads=lambda: lambda seen: model.predict(seen)[0]",
+    "ads=lambda: lambda seen: model.predict(seen)[0]", "ads=lambda: lambda seen: 1", "world=five, ads=Planner",
+    "world=five, ads=lambda: lambda seen: seen.ego", "world=five, ads=lambda: lambda seen: np.zeros(5)",
+    "world=five, ads=lambda: lambda seen: 1.0", "world=five, ads=lambda: lambda seen: None",
+    "world=five, ads=lambda: lambda seen: [[1], [2, 3]]", "world=steering, ads=lambda: lambda seen: np.zeros((1, 2))",
+    "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)", "ads=lambda: later", "world='highway-v9'",
+    "world='builtins:print'", "world='operator:neg'", "world=pafot.Highway", "world=Road()", "world=Road",
+    "world=Derived()", "world=gymnasium.make('highway-v0', config={'lanes_count': 3})",
+    "world=gymnasium.make('CartPole-v1')", "worlds=five", "ads=lambda: lambda seen: {}['lane']",
+    "ads=lambda: lambda seen: pytest.skip('no GPU')", "ads=lambda: lambda seen: None", "SHORT, against='old_ads'",
+]  # fmt: skip
 """Mistakes of somebody who writes a first search."""
 
 
@@ -354,24 +291,17 @@ def copies(project, edits, name="copy"):
 
 
 DAMAGED = [
-    (r"^pafot: 3", "pafot: 99"),
-    (r"^scenario:", "colour: red\nscenario:"),
-    (r"cell: [a-z-]+, speed", "cell: 9, speed"),
-    (r"^pafot: 3", "pafot: [1"),
-    (r"(?s).*", ""),
-    (r"(?s)\Z", "#" * 300_000),
-    ("lanes: 4", "lanes: 40"),
-    ("overspeed: 1.1", "overspeed: 2.0"),
-    ("lane: 1, speed", "lane: 9, speed"),
-    (r"cell: front, speed: [\d.]+", "cell: front, speed: 99.0"),
+    (r"^pafot: 3", "pafot: 99"), (r"^scenario:", "colour: red\nscenario:"),
+    (r"cell: [a-z-]+, speed", "cell: 9, speed"), (r"^pafot: 3", "pafot: [1"), (r"(?s).*", ""),
+    (r"(?s)\Z", "#" * 300_000), ("lanes: 4", "lanes: 40"), ("overspeed: 1.1", "overspeed: 2.0"),
+    ("lane: 1, speed", "lane: 9, speed"), (r"cell: front, speed: [\d.]+", "cell: front, speed: 99.0"),
     ("gene_seconds: 5.0", "gene_seconds: 5.01"),
     (r"world: (.|\n)*?\n#", "world: {kind: own, class: Ring, data: {lanes: 3}}\n#"),
-]
+]  # fmt: skip
 ENVIRONMENT = [
-    ("lanes_count: 3", "lanes_count: many"),
-    ("lanes_count: 3", "lanes_cound: 3"),
+    ("lanes_count: 3", "lanes_count: many"), ("lanes_count: 3", "lanes_cound: 3"),
     ("highway-fast-v0", "highway-slow-v0"),
-]
+]  # fmt: skip
 IN_AN_ENVIRONMENT = """
 @pafot.search(ads=lambda: lambda observation: 1, world=pafot.World("highway-fast-v0", duration=5.0))  # stop_after=1
 def test_fails(run):
@@ -589,18 +519,6 @@ def test_new_failures_read_so(kinds, monkeypatch, snapshot):
 
 
 PASSES = marked("SHORT")
-STOPS = """
-class Stops:
-    near = False
-
-    def __call__(self, observation):
-        self.near |= observation.time > 0.3 and any(abs(v.x - observation.ego.x) < 99 for v in observation.others)
-        return (-8.0 if self.near else 0.5 * (20.0 - observation.ego.speed)), 0.0
-
-@pafot.search(npcs=1, genes=6, gene_seconds=10, ads=lambda: Stops(), shrink_runs=0)
-def test_keeps_up(run):
-    pafot.check(run.ego.speed.mean(), name="pace", at_least=5.0)
-"""
 BLAMES_THE_EGO = """
 @pafot.search(npcs=4, genes=4, gene_seconds=5, blame="ego", ads=lambda: slows)
 def test_fault(run):
@@ -673,36 +591,6 @@ def test_problems_at_the_end_of_a_session_read_so(failing, monkeypatch, snapshot
         "--pafot-report=y.html", "--pafot-allow-orphans"
     ).stdout.str()
     assert texts == snapshot
-
-
-EXITS = """
-@pytest.fixture
-def leaves():
-    pytest.exit("enough", returncode=0)
-
-@pafot.search(SHORT)
-def test_in_fixture(run, leaves):
-    pass
-"""
-LEAVES = """
-import pytest
-
-def pytest_runtest_logfinish():
-    pytest.exit("enough", returncode=0)
-"""
-SWALLOWS = """
-import pytest
-
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_makereport(item, call):
-    report = yield
-    if report.failed:
-        report.outcome, report.longrepr = "passed", None
-    return report
-"""
-ALWAYS = marked(
-    ("ads=lambda: lambda observation: (0.0, 0.0), genes=2, shrink_runs=0", "assert run is None")
-)
 
 
 def test_sessions_that_end_early_read_so(project, monkeypatch, shrinking, snapshot):
@@ -927,17 +815,11 @@ def test_xfail_in_a_marked_function_reads_so(saved, snapshot):
 
 
 WRONG_VALUES = [
-    {"marker": {"generations": -1}},
-    {"marker": {"seed": 2**80}},
-    {"marker": {"isolate": "perhaps"}},
-    {"ini": "pafot_workers = 5000"},
-    {"ini": "pafot_max_time = nan"},
-    {"ini": "pafot_max_time = soon"},
-    {"ini": "pafot_save = some"},
-    {"ini": "pafot_generations = as many"},
-    {"ini": "pafot_generations ="},
+    {"marker": {"generations": -1}}, {"marker": {"seed": 2**80}}, {"marker": {"isolate": "perhaps"}},
+    {"ini": "pafot_workers = 5000"}, {"ini": "pafot_max_time = nan"}, {"ini": "pafot_max_time = soon"},
+    {"ini": "pafot_save = some"}, {"ini": "pafot_generations = as many"}, {"ini": "pafot_generations ="},
     {"ini": "pafot_isolate = perhaps"},
-]
+]  # fmt: skip
 WRONG_OPTIONS = (
     "stop-after=one",
     "today=31.1.2027",
@@ -1010,8 +892,7 @@ def drive(observation):
     return 0.0, 0.0
 
 @pafot.search(SHORT, ads=lambda: drive)
-def test_it(run):
-    pass
+def test_it(run): pass
 """
 ENDS = """
 import os
