@@ -24,6 +24,7 @@ CHANGES = [
     (r"\bin \d+\.\d+s( \([\d:]+\))?", "in TIME"),
     (r"\btook [\d.,]+ (ms|s|min|h)\b", "took TIME"),
     (r"\b(pid|process) \d+", r"\1 N"),
+    (r"\S+\.inflight\b", "RECORD.inflight"),
     (r"(\.\./)*\bpafot-\w{8}/", "TEMPORARY/"),
     (r"\b0x[0-9a-f]{6,}", "0xADDRESS"),
     (r"\bVehicle #\d+", "Vehicle #N"),  # highway-env numbers vehicles by their addresses

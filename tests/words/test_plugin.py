@@ -14,11 +14,14 @@ from pytest_pafot.searches.refine import steps
 from pytest_pafot.searches.refine.simplest import Turn
 from pytest_pafot.support.errors import OutOfTime, RequestError
 from tests.plugin.conftest import CONFTEST, FAILING
+from tests.plugin.test_acceptance import TEST as ACCEPTS
 from tests.plugin.test_against import AGAINST, ELSEWHERE, KEEPS, SPEEDS, policies
 from tests.plugin.test_against import TEST as COMPARED
 from tests.plugin.test_algorithms import OWN
-from tests.plugin.test_driving_on import POLICIES, filed
+from tests.plugin.test_driving_on import POLICIES, filed, replay
+from tests.plugin.test_driving_on import TEST as GAP
 from tests.plugin.test_elsewhere import fixed, searched
+from tests.plugin.test_failure_reports import PRINTS
 from tests.plugin.test_guard import LEFT_OUT
 from tests.plugin.test_health import STOPS
 from tests.plugin.test_marked_functions import CHECK
@@ -971,3 +974,40 @@ def slow():
     time.sleep(0.015)
     return lambda seen: (0.0, 0.0)
 """
+
+
+@forks
+@pytest.mark.processes
+def test_replays_whose_process_died_after_the_end_read_so(project, monkeypatch, snapshot):
+    texts = {}
+    project.write(COMPARED.replace("MORE", ""))
+    policies(
+        project, SPEEDS, "import os\n\ndef make():\n    return lambda observation: os._exit(9)\n"
+    )
+    assert project.run(AGAINST, "-pcacheprovider", apart=True).ret == 9
+    texts["reference"] = project.run(AGAINST, "-pcacheprovider", "-rN", apart=True).stdout.str()
+    project.write(GAP.replace("WORLD", "pafot.Highway(lanes=3)"))
+    filed(project)
+    texts["isolated"] = replay(project, "dying", "--pafot-isolate", "-rN").stdout.str()
+    assert replay(project, "dying", apart=True).ret == 9
+    monkeypatch.setattr("pytest_pafot.execution.runner.METHOD", "spawn")
+    before = "import pytest_pafot.execution.runner as pool\npool.METHOD = 'spawn'\n"
+    texts["without fork"] = replay(project, "dying", "-rN", before=before).stdout.str()
+    texts["debug"] = replay(project, "braking", "--pafot-debug", "-rN").stdout.str()
+    assert texts == snapshot
+
+
+def test_worse_failures_and_long_outputs_read_so(project, snapshot):
+    project.write(ACCEPTS)
+    project.pytester.makepyfile(planner=KEEPS)
+    project.run("--pafot-stop-after=1", runs=16)
+    project.accept()
+    file = project.only_file
+    file.write_text(re.sub(r", worst_closing_speed: [\d.]+", "", file.read_text()))
+    texts = {"worse": project.run("-rN", "--pafot-stop-after=1", runs=16).stdout.str()}
+    project.forget()
+    printed = result_of(project, PRINTS, "-v", runs=40, seed=2)
+    texts["long"] = [
+        re.sub(r"^.\d+", "N", line) for line in printed.outlines if "pytest -s" in line
+    ]
+    assert texts == snapshot
