@@ -83,7 +83,7 @@ def leak():
     project.leave_behind("test_old.py::test_dies")
     result = project.run("--pafot-report=x.html", apart=True)
     assert is_whole(result)
-    result.stdout.fnmatch_lines(["*problem: --pafot-report=x.html: *Too many open files. *"])
+    result.stdout.fnmatch_lines(["*problem: --pafot-report=x.html: *Too many open files*"])
 
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")

@@ -37,8 +37,9 @@ from tests.plugin.test_stuck_ads import TESTS as TESTS_OF_THE_STUCK
 
 @pytest.fixture
 def project(project, monkeypatch):
-    """Return a project whose sessions break no line, because they would break it elsewhere in a longer path."""
+    """Return a project whose sessions break no line, as they would in a longer path, and are too quick for progress."""
     monkeypatch.setenv("COLUMNS", "9999")
+    monkeypatch.setattr("pytest_pafot.plugin.session.LOG_SECONDS", 1e9)
     return project
 
 
