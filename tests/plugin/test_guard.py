@@ -281,20 +281,20 @@ def test_rerunning_failures_knows_no_error_of_the_session(saved, ci):
     replay(saved, "--lf").stdout.no_fnmatch_line("*known failure*")
 
 
-PLACES = (
-    "pafot_corpus/test_it/test_fails/deeper/still/a.pafot.yaml",
-    "pafot_corpus/test_it/a.pafot.yaml",
-    "pafot_corpus/a.pafot.yaml",
-    "a.pafot.yaml",
-    "pafot_corpus/pafot_corpus/test_it/test_fails/a.pafot.yaml",
-    *(
-        f"{FOLDER}/a{suffix}"
-        for suffix in (".pafot.yml", ".yml", ".yaml", ".PAFOT.YAML", ".pafot.Yml")
-    ),
-    f"{FOLDER}/a.pafot.yaml.gz",
-    f"{FOLDER}/a.pafot.yaml.dvc",
-    "A.Pafot.Yaml",
+SUFFIXES = (
+    ".pafot.yml",
+    ".yml",
+    ".yaml",
+    ".PAFOT.YAML",
+    ".pafot.Yml",
+    ".pafot.yaml.gz",
+    ".pafot.yaml.dvc",
 )
+PLACES = (
+    f"{FOLDER}/deeper/still/a.pafot.yaml", "pafot_corpus/test_it/a.pafot.yaml", "pafot_corpus/a.pafot.yaml",
+    "a.pafot.yaml", f"pafot_corpus/{FOLDER}/a.pafot.yaml", *(f"{FOLDER}/a{suffix}" for suffix in SUFFIXES),
+    "A.Pafot.Yaml",
+)  # fmt: skip
 
 
 def test_a_file_that_no_test_can_replay_fails_a_ci_session(saved, ci):
