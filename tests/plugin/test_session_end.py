@@ -1,7 +1,6 @@
 """Errors at the end of a session appear in its summary, together with the texts of all failures."""
 
 import importlib
-import json
 import os
 import signal
 import sys
@@ -103,11 +102,10 @@ def test_a_signal_while_a_finding_is_reported_does_not_lose_it(project, monkeypa
 
     project.write(FAILS)
     monkeypatch.setattr(f"{module}.{name}", interrupted)
-    result = project.run("--pafot-report=x.html", "--pafot-json=x.json", no_reraise_ctrlc=True)
-    record = json.loads((project.path / "x.json").read_text())
-    [file], [found] = project.files, record["findings"]
-    assert (result.ret, record["exit"], found["file"]) == (2, 2, file)
-    assert found["id"] in (project.path / "x.html").read_text()
+    result = project.run("--pafot-report=x.html", "--pafot-json=pafot.json", no_reraise_ctrlc=True)
+    [file], [found] = project.files, project.record.findings
+    assert (result.ret, project.record.exit, found.file) == (2, 2, file)
+    assert found.id in (project.path / "x.html").read_text()
 
 
 def test_the_report_of_a_finding_does_not_show_what_interrupted_its_confirmation(
@@ -235,6 +233,16 @@ def test_it(run):
 """
 
 
+PLAIN = {
+    "imported": "",
+    "daemon": True,
+    "ends": "0.0, 0.0",
+    "late": "pass",
+    "runs": 1,
+    "holds": "run",
+}
+
+
 @pytest.mark.parametrize(("changes", "code"), [
     ({"ends": "os._exit(0)"}, 2),
     ({"ends": "os.execv('/bin/true', ['true'])"}, 2),
@@ -245,27 +253,15 @@ def test_it(run):
 ], ids=["_exit", "exec", "abort", "import", "thread", "late_thread"])  # fmt: skip
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 def test_no_session_passes_that_a_policy_ends(project, changes, code):
-    plain = {
-        "imported": "",
-        "daemon": True,
-        "ends": "0.0, 0.0",
-        "late": "pass",
-        "runs": 1,
-        "holds": "run",
-    }
-    project.write(EXITING.format(**{**plain, **changes}))
+    project.write(EXITING.format(**PLAIN | changes))
     assert project.run("--pafot-shrink-runs=0", fresh=True).ret == code
 
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 @pytest.mark.parametrize("late", ["time.sleep(60)", "while True: pass"])
 def test_interrupted_session_waits_for_no_thread_of_a_policy(project, late):
-    interrupt = "os.kill(os.getpid(), 2)"
-    project.write(
-        EXITING.format(
-            imported="", daemon=False, ends="0.0, 0.0", late=late, runs=1000, holds=interrupt
-        )
-    )
+    changes = {"daemon": False, "late": late, "runs": 1000, "holds": "os.kill(os.getpid(), 2)"}
+    project.write(EXITING.format(**PLAIN | changes))
     begin = time.monotonic()
     result = project.run("--junitxml=x.xml", fresh=True)
     assert (result.ret, (project.path / "x.xml").exists()) == (2, True)

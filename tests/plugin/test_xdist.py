@@ -159,22 +159,16 @@ def test_a_signal_to_the_controller_loses_nothing_that_workers_have_saved(projec
     # The workers search on for some seconds before pytest-xdist interrupts them.
     project.write(IDLES + TWO.replace("SHORT", "SHORT, runs=100000, ads=idles"))
     command = [sys.executable, "-m", "pytest", "-n2", "-p", "xdist", "-p", "pafot"]
-    with begun(
-        [*command, "--pafot-json=x.json", "--pafot-report=x.html"],
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as session:
+    command += ["--pafot-json=pafot.json", "--pafot-report=x.html"]
+    with begun(command, stdout=subprocess.PIPE, text=True) as session:
         wait_for_a_finding(session)
         session.terminate()
         rest, _ = session.communicate(timeout=100)
-    record, page = (
-        json.loads((project.path / "x.json").read_text()),
-        (project.path / "x.html").read_text(),
-    )
-    assert (session.returncode, record["exit"]) == (2, 2)
-    assert {each["reason"] for each in record["searches"]} == {"interrupted"}
-    assert {each["file"] for each in record["findings"]} == set(project.files)
-    assert all(each["id"] in page for each in record["findings"])
+    record, page = project.record, (project.path / "x.html").read_text()
+    assert (session.returncode, record.exit) == (2, 2)
+    assert {each.reason for each in record.searches} == {"interrupted"}
+    assert {each.file for each in record.findings} == set(project.files)
+    assert all(each.id in page for each in record.findings)
     assert "received SIGTERM" in rest
 
 
@@ -204,12 +198,10 @@ def test_a_finding_that_the_controller_has_read_and_not_yet_taken_is_not_lost(pr
     project.write(TWO)
     with (project.path / "conftest.py").open("a") as conftest:
         conftest.write(IN_BETWEEN)
-    result = project.run(
-        "-n1", "--pafot-json=x.json", "--pafot-stop-after=1", runs=None, apart=True
-    )
-    record = json.loads((project.path / "x.json").read_text())
-    assert (result.ret, record["exit"]) == (2, 2)
-    files = [each["file"] for each in record["findings"]]
+    options = ("-n1", "--pafot-json=pafot.json", "--pafot-stop-after=1")
+    result = project.run(*options, runs=None, apart=True)
+    assert (result.ret, project.record.exit) == (2, 2)
+    files = [each.file for each in project.record.findings]
     assert files
     assert sorted(files) == project.files
     assert result.stdout.str().count("pafot: found") == len(files)
