@@ -68,16 +68,9 @@ SETTINGS = ("CI", "COLUMNS", "GITHUB_STEP_SUMMARY", "PYTEST_ADDOPTS")
 """Environment variables that affect a session's output."""
 
 NOT_NAMED = (
-    "doctest",
-    "junitxml",
-    "legacypath",
-    "logging",
-    "pastebin",
-    "setuponly",
-    "setupplan",
-    "stepwise",
+    "doctest", "junitxml", "legacypath", "logging", "pastebin", "setuponly", "setupplan", "stepwise",
     "unraisableexception",  # collects all garbage at the end of each session
-)
+)  # fmt: skip
 """Parts of pytest that a session only loads if its options name them: they take a fifth of a short session."""
 
 
@@ -111,12 +104,8 @@ class Project:
         """
         parallel = ["xdist"] if any(str(arg).startswith(("-n", "--dist")) for arg in args) else []
         named = "".join(map(str, args)).replace("-", "")
-        names = [
-            *(f"no:{name}" for name in NOT_NAMED if name not in named),
-            "pafot",
-            *parallel,
-            *plugins,
-        ]
+        names = [f"no:{name}" for name in NOT_NAMED if name not in named]
+        names += ["pafot", *parallel, *plugins]
         options = [part for name in names for part in ("-p", name)]
         if runs is not None:
             options.append(f"--pafot-runs={runs}")
@@ -137,25 +126,15 @@ class Project:
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS}
         whole = bench._difference_in_gym is DIFFERENCE_IN_GYM
-        key = repr(
-            (
-                before,
-                settings,
-                whole,
-                [str(arg).replace(str(self.path), "") for arg in args],
-                options,
-            )
-        )
+        arguments = [str(arg).replace(str(self.path), "") for arg in args]
+        key = repr((before, settings, whole, arguments, options))
         if key not in self.found:
             result = self.run(*args, **options)
-            changed = {
-                name: text for name, text in self._tree.items() if before.get(name, ...) != text
-            }
-            streams = [
-                "\n".join(lines).replace(str(self.path), "{project}")
-                for lines in (result.outlines, result.errlines)
-            ]
-            self.found[key] = (result.ret, streams, before.keys() - self._tree.keys(), changed)
+            after = self._tree
+            changed = {name: text for name, text in after.items() if before.get(name, ...) != text}
+            texts = ("\n".join(lines) for lines in (result.outlines, result.errlines))
+            streams = [text.replace(str(self.path), "{project}") for text in texts]
+            self.found[key] = (result.ret, streams, before.keys() - after.keys(), changed)
         status, streams, removed, changed = self.found[key]
         for name in sorted(removed & self._tree.keys(), reverse=True):
             path = self.path / name
@@ -163,9 +142,8 @@ class Project:
         for name, content in changed.items():
             path = self.path / name
             path.mkdir(exist_ok=True) if content is None else path.write_bytes(content)
-        return pytest.RunResult(
-            status, *(text.replace("{project}", str(self.path)).splitlines() for text in streams), 0
-        )
+        shown = (text.replace("{project}", str(self.path)).splitlines() for text in streams)
+        return pytest.RunResult(status, *shown, 0)
 
     @property
     def _tree(self):
