@@ -207,6 +207,10 @@ def test_assertions_that_are_off_read_so(tmp_path, monkeypatch, snapshot):
     monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
     monkeypatch.setenv("COLUMNS", "999")
     imported = f"{IMPORTS}test_it = pafot.search(ads=Old)(holds)\n"
-    texts = {"session": session(tmp_path, test_it=MARKED + EXPLORED, test_imported=imported)}
+    texts = {
+        "session": session(
+            tmp_path, "--disable-warnings", test_it=MARKED + EXPLORED, test_imported=imported
+        )
+    }
     code, texts["search"] = ended(tmp_path, f"{SEARCH} --check planner:check", options=["-O"])
     assert (code, texts) == (2, snapshot)
