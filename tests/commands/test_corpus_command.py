@@ -29,32 +29,21 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
-    assert main(["corpus", "list", str(tmp_path / "none")]) == 2
-    assert "corpus: expected an existing folder, received" in capsys.readouterr().err
+@pytest.mark.parametrize("folders", [["none"], []], ids=["not there", "removed"])
+def test_a_folder_that_does_not_exist_is_refused(tmp_path, monkeypatch, folders):
+    if not folders and sys.platform == "win32":
+        pytest.skip("Windows does not remove the current folder of a process")
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    if not folders:
+        (tmp_path / "gone").rmdir()
+    assert main(["corpus", "list", *folders]) == 2
 
 
 def test_a_folder_that_cannot_be_listed_is_named(folder, capsys, monkeypatch):
     unlisted(monkeypatch, folder / "test_it")
     assert main(["corpus", "list", str(folder)]) == 1
-    assert capsys.readouterr().err == (
-        f"corpus: {folder / 'test_it'}: expected a folder that can be listed, received Permission denied. Make it "
-        "readable for this user, restore it, or move it away\n"
-    )
-
-
-@pytest.mark.skipif(
-    sys.platform == "win32", reason="Windows does not remove the current folder of a process"
-)
-def test_current_folder_that_was_removed_is_reported(tmp_path, monkeypatch, capsys):
-    (tmp_path / "gone").mkdir()
-    monkeypatch.chdir(tmp_path / "gone")
-    (tmp_path / "gone").rmdir()
-    assert main(["corpus", "list"]) == 2
-    assert (
-        "corpus: expected an existing current folder, received No such file"
-        in capsys.readouterr().err
-    )
+    assert capsys.readouterr().err.startswith(f"corpus: {folder / 'test_it'}: ")
 
 
 def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch, capsys):
@@ -68,10 +57,6 @@ def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch,
         with Path("/dev/full").open("w") as full, monkeypatch.context() as patch:
             patch.setattr(sys, "stdout", full)
             assert main(["corpus", "list", str(folder)]) == 2
-        assert capsys.readouterr().err == (
-            "corpus: expected a writable standard output, received No space left on device. "
-            "Free some space on the disk, or redirect it\n"
-        )
 
 
 def accept(*ids, until="2999-01-31"):
@@ -85,20 +70,19 @@ def test_accepting_a_failure_changes_one_listed_line(folder, capsys):
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     before = file.read_text().replace("scenario:", "# ours\nscenario:")
     file.write_text(before)
-    assert accept("a-111111") == 0
+    assert accept("a-111111", "none", "b-222222") == 1  # despite an id that no file has
     assert file.read_text() == before.replace("# xfail: {reason, until}", LINE)
+    assert all(LINE in path.read_text() for path in folder.rglob("*.pafot.yaml"))
+    assert capsys.readouterr().err.startswith("corpus: none: ")
     assert accept(str(file), until="2999-02-01") == 0
     assert load(file).xfail_until == date(2999, 2, 1)
     capsys.readouterr()
     assert main(["corpus", "list", str(folder)]) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert (
-        "The ego's front hit NPC 0 after 12.4 s; accepted: TICKET-7, until 2999-02-01 b-222222"
-        in told
-    )
+    told = capsys.readouterr().out
+    assert "accepted: TICKET-7, until 2999-02-01" in " ".join(told.partition("b-222222")[0].split())
 
 
-def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
+def test_a_full_disk_leaves_the_file_as_it_was(folder, monkeypatch):
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     before = file.read_bytes()
 
@@ -107,23 +91,8 @@ def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     assert accept("a-111111") == 1
-    assert capsys.readouterr().err == (
-        "corpus: a-111111: expected a writable file, received No space left on device. "
-        "Free some space on the disk, then run the command again\n"
-    )
     assert file.read_bytes() == before
     assert list(file.parent.iterdir()) == sorted(file.parent.glob("*.pafot.yaml"))
-
-
-def test_several_failures_are_accepted_despite_a_wrong_id(folder, capsys):
-    assert accept("a-111111", "none", "b-222222") == 1
-    told = capsys.readouterr()
-    assert told.out.splitlines() == [
-        f"test_it/test_x/{name}.pafot.yaml: accepted until 2999-01-31: TICKET-7"
-        for name in ("a-111111", "b-222222")
-    ]
-    assert told.err.startswith("corpus: none: expected the file of a saved scenario")
-    assert all(LINE in file.read_text() for file in folder.rglob("*.pafot.yaml"))
 
 
 def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys):
@@ -139,47 +108,34 @@ def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys):
     assert file.read_text() == over_lines
 
 
-@pytest.mark.parametrize(("day", "told"), [
-    ("soon", "expected a day such as 2027-01-31, received 'soon'"),
-    ("2026-01-31", "expected today or a later day, received 2026-01-31, which is in the past"),
-])  # fmt: skip
-def test_a_day_that_is_none_or_over_is_told(folder, capsys, day, told):
+@pytest.mark.parametrize("day", ["soon", "2026-01-31"])
+def test_a_day_that_is_none_or_over_is_refused(folder, day):
     with pytest.raises(SystemExit, match="2"):
         accept("a-111111", until=day)
-    assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "form", ["{}", "saved-{}", "test_it.py::test_x[saved-{}]", "{}.pafot.yaml"]
 )
-def test_an_id_is_that_which_pytest_prints(folder, capsys, form):
+def test_an_id_is_that_which_pytest_prints(folder, form):
     assert accept(form.format("a-111111")) == 0
-    assert (
-        capsys.readouterr().out
-        == "test_it/test_x/a-111111.pafot.yaml: accepted until 2999-01-31: TICKET-7\n"
-    )
+    accepted = [path.name for path in folder.rglob("*.pafot.yaml") if LINE in path.read_text()]
+    assert accepted == ["a-111111.pafot.yaml"]
 
 
 @pytest.mark.parametrize(("wrong", "fix"), [
-    ("111111", "Did you mean a-111111?"),
-    ("b-222", "Did you mean b-222222?"),
-    ("other", "`python -m pytest_pafot corpus list` lists the files"),
+    ("111111", "a-111111?"), ("b-222", "b-222222?"), ("other", "corpus list`"),
 ])  # fmt: skip
 def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, wrong, fix):
     # told only once
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept(wrong) == 1
-    assert capsys.readouterr().err == (
-        f"corpus: {wrong}: expected the file of a saved scenario, or the id of a saved scenario below the "
-        f"current folder, received no such file or id. {fix}\n"
-    )
+    error = capsys.readouterr().err
+    assert error.startswith(f"corpus: {wrong}: ")
+    assert error.count(fix) == 1
 
 
-def test_accept_refuses_ambiguous_id_but_takes_file_path(folder, capsys):
+def test_accept_refuses_ambiguous_id_but_takes_file_path(folder):
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept("a-111111") == 1
-    assert (
-        "received an id that occurs in 2 files. Give one of the files: test_it/test_x/"
-        in capsys.readouterr().err
-    )
     assert accept("test_it/test_y/a-111111.pafot.yaml") == 0

@@ -84,10 +84,8 @@ def test_signal_while_a_command_starts_is_told_without_traceback(
     started = [sys.executable, "-m", "pytest_pafot", *command]
     given = {"cwd": tmp_path, "env": environ, "timeout": 60}
     ended = subprocess.run(started, capture_output=True, text=True, check=False, **given)
-    assert (ended.returncode, ended.stderr.strip()) == (
-        128 + getattr(signal, name),
-        f"{command[0]}: interrupted",
-    )
+    expected = 128 + getattr(signal, name), f"{command[0]}: interrupted"
+    assert (ended.returncode, ended.stderr.strip()) == expected
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])  # SIGHUP ends the command of an extra

@@ -76,66 +76,32 @@ def test_a_saved_file_is_replayed_without_its_project(here, arguments, code, tol
     done = command_in_a_copy("pytest_pafot", "replay", *arguments)
     assert (done.code, told in done.out) == (code, True), done.out + done.err
     name = arguments[0].removesuffix(".pafot.yaml")
-    assert re.match(
-        rf"{name}\.pafot\.yaml: .*found with pytest-pafot 0\.1\.0\. .* policies:\w+\n", done.out
-    )
+    assert re.match(rf"{name}\.pafot\.yaml: .* 0\.1\.0\. .* policies:\w+\n", done.out)
     new = {path.relative_to(here).parts[0] for path in {*here.rglob("*")} - before}
     assert new <= {"__pycache__", "page.html"}
 
 
-@pytest.mark.parametrize(("arguments", "told"), [
-    ([ACCEPTED], "such as --ads module:Class, received none. The file itself contains no policy"),
-    ([ACCEPTED, "--ads", "policies:Idel"], "--ads: expected a factory in the module policies, received"),
-    ([ACCEPTED, "--ads", "policies:Idle", "--world", "nothing-v0"], "expected a registered environment, received"),
-    (["crossing", "--ads", "policies:Idle", "--world", "highway-v0"], "crossing.pafot.yaml:"),
-    (["flaky", "--ads", "policies:Idle"], "expected a function that takes a run and asserts the same as test_"),
-    (["own", "--ads", "policies:Idle"], "own.pafot.yaml:14: world: expected a world that a file can describe, rec"),
-    (["newer", "--ads", "policies:Idle"], "newer.pafot.yaml:1: pafot: expected format version"),
-    (["large", "--ads", "policies:Idle"], "large.pafot.yaml: expected a file of at most 256 KiB, received a larger"),
-    (["a [1].pafot.yaml", "--ads", "policies:Idle"], "received 'a [1].pafot.yaml'. Rename the file"),
-    (["folder.pafot.yaml", "--ads", "policies:Idle"], "folder.pafot.yaml: expected the file of a saved scenario, or"),
-    (["nobody", "--ads", "policies:Idle"], "nobody: expected the file of a saved scenario, or the id of a saved"),
+@pytest.mark.parametrize("arguments", [
+    [ACCEPTED], [ACCEPTED, "--ads", "policies:Idel"], ["flaky", "--ads", "policies:Idle"],
+    ["nobody", "--ads", "policies:Idle"],
 ])  # fmt: skip
-def test_what_cannot_be_replayed_is_told_with_the_exit_code_of_wrong_use(
-    here, capsys, arguments, told
-):
-    text = (here / ACCEPTED).read_text()
-    for name, content in {
-        "own": re.sub(
-            r"(?s)world: \{kind: highway.*?\}\n", "world: {kind: own, class: mine.Road}\n", text
-        ),
-        "newer": re.sub(r"(?m)^pafot: \d+", "pafot: 999", text),
-        "large": f"{text}{'#' * 256 * 1024}",
-        "a [1]": text,
-    }.items():
-        (here / f"{name}.pafot.yaml").write_text(content)
-    (here / "folder.pafot.yaml").mkdir()
+def test_what_cannot_be_replayed_has_the_exit_code_of_wrong_use(here, capsys, arguments):
     assert main(["replay", *arguments]) == 4
-    error = capsys.readouterr().err
-    assert (error.startswith("replay: "), told in error) == (True, True), error
+    assert capsys.readouterr().err.startswith("replay: ")
 
 
 def test_a_wrong_option_of_a_replay_is_told_with_its_usage(capsys):
     with pytest.raises(SystemExit, match="4"):
         main(["replay", ACCEPTED, "--adz", "policies:Idle"])
-    assert capsys.readouterr().err.startswith(
-        "usage: python -m pytest_pafot replay FILE --ads ADS [option ...]"
-    )
+    assert capsys.readouterr().err.startswith("usage: python -m pytest_pafot replay ")
 
 
 @pytest.mark.processes
 @pytest.mark.skipif(os.name == "nt", reason="a group of processes has no signals there")
 def test_an_interrupted_replay_ends_without_traceback(here):
-    command = [
-        sys.executable,
-        "-m",
-        "pytest_pafot",
-        "replay",
-        ACCEPTED,
-        "--ads",
-        "policies:Sleeping",
-    ]
-    with begun(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as replay:
+    words = ["-m", "pytest_pafot", "replay", ACCEPTED, "--ads", "policies:Sleeping"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    with begun([sys.executable, *words], **quiet) as replay:
         deadline = time.monotonic() + 60.0
         while not (here / "driving").exists() and time.monotonic() < deadline:
             time.sleep(0.1)

@@ -25,6 +25,7 @@ from tests.helpers.sessions import (
     in_a_copy,
     in_process,
     quick_sessions,
+    read_record,
     section,
     set_keys,
 )
@@ -67,16 +68,9 @@ SETTINGS = ("CI", "COLUMNS", "GITHUB_STEP_SUMMARY", "PYTEST_ADDOPTS")
 """Environment variables that affect a session's output."""
 
 NOT_NAMED = (
-    "doctest",
-    "junitxml",
-    "legacypath",
-    "logging",
-    "pastebin",
-    "setuponly",
-    "setupplan",
-    "stepwise",
+    "doctest", "junitxml", "legacypath", "logging", "pastebin", "setuponly", "setupplan", "stepwise",
     "unraisableexception",  # collects all garbage at the end of each session
-)
+)  # fmt: skip
 """Parts of pytest that a session only loads if its options name them: they take a fifth of a short session."""
 
 
@@ -110,12 +104,8 @@ class Project:
         """
         parallel = ["xdist"] if any(str(arg).startswith(("-n", "--dist")) for arg in args) else []
         named = "".join(map(str, args)).replace("-", "")
-        names = [
-            *(f"no:{name}" for name in NOT_NAMED if name not in named),
-            "pafot",
-            *parallel,
-            *plugins,
-        ]
+        names = [f"no:{name}" for name in NOT_NAMED if name not in named]
+        names += ["pafot", *parallel, *plugins]
         options = [part for name in names for part in ("-p", name)]
         if runs is not None:
             options.append(f"--pafot-runs={runs}")
@@ -136,25 +126,15 @@ class Project:
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS}
         whole = bench._difference_in_gym is DIFFERENCE_IN_GYM
-        key = repr(
-            (
-                before,
-                settings,
-                whole,
-                [str(arg).replace(str(self.path), "") for arg in args],
-                options,
-            )
-        )
+        arguments = [str(arg).replace(str(self.path), "") for arg in args]
+        key = repr((before, settings, whole, arguments, options))
         if key not in self.found:
             result = self.run(*args, **options)
-            changed = {
-                name: text for name, text in self._tree.items() if before.get(name, ...) != text
-            }
-            streams = [
-                "\n".join(lines).replace(str(self.path), "{project}")
-                for lines in (result.outlines, result.errlines)
-            ]
-            self.found[key] = (result.ret, streams, before.keys() - self._tree.keys(), changed)
+            after = self._tree
+            changed = {name: text for name, text in after.items() if before.get(name, ...) != text}
+            texts = ("\n".join(lines) for lines in (result.outlines, result.errlines))
+            streams = [text.replace(str(self.path), "{project}") for text in texts]
+            self.found[key] = (result.ret, streams, before.keys() - after.keys(), changed)
         status, streams, removed, changed = self.found[key]
         for name in sorted(removed & self._tree.keys(), reverse=True):
             path = self.path / name
@@ -162,9 +142,8 @@ class Project:
         for name, content in changed.items():
             path = self.path / name
             path.mkdir(exist_ok=True) if content is None else path.write_bytes(content)
-        return pytest.RunResult(
-            status, *(text.replace("{project}", str(self.path)).splitlines() for text in streams), 0
-        )
+        shown = (text.replace("{project}", str(self.path)).splitlines() for text in streams)
+        return pytest.RunResult(status, *shown, 0)
 
     @property
     def _tree(self):
@@ -211,6 +190,11 @@ class Project:
         return {name: (self.path / name).read_text() for name in self.files}
 
     @property
+    def record(self):
+        """Return what the last session wrote for programs with ``--pafot-json=pafot.json``."""
+        return read_record((self.path / "pafot.json").read_text(encoding="utf-8"))
+
+    @property
     def records(self):
         """Return the crash records of the project, and any others in its folder for temporary files."""
         return list(Path(tempfile.gettempdir()).rglob("*.inflight"))
@@ -235,6 +219,12 @@ class Project:
 def shows(result, name, *lines):
     """Check that the failure of a test is told by lines in this order."""
     pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines(list(lines))
+
+
+def labels(result):
+    """Return the labels of a session's replays with their numbers, such as ``1 still failing``."""
+    lines = [line for line in result.outlines if line.startswith("replayed ")]
+    return lines[0].rpartition(": ")[2] if lines else ""
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,8 @@ import sys
 import pytest
 
 import pytest_pafot.execution.runner
+from tests.plugin.conftest import labels
+from tests.plugin.test_against import compared
 
 pytestmark = [
     pytest.mark.processes,
@@ -16,11 +18,9 @@ forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked
 
 TESTS = """
 @pafot.search(SHORT)
-def test_it(run):
-    pass
+def test_it(run): pass
 
-def test_ordinary():
-    pass
+def test_ordinary(): pass
 """
 
 DIES = """
@@ -45,6 +45,7 @@ def ads():
 
 SPAWNS = """
 import pytest_pafot.execution.runner
+from tests.plugin.test_against import compared
 
 pytest_pafot.execution.runner.METHOD = "spawn"
 """
@@ -74,12 +75,8 @@ def test_repeated_crash_fails_only_its_own_item(crash, more, runs):
     asked = "-k", "saved or ordinary"
     result = replayed(crash, *asked, runs=runs)
     result.assert_outcomes(failed=1, passed=1, deselected=1)
-    result.stdout.fnmatch_lines(
-        [
-            "The process (pid *) that ran this scenario was ended by SIGSEGV*",
-            "*1 saved scenario: 1 still failing*",
-        ]
-    )
+    assert "SIGSEGV" in result.stdout.str()
+    assert labels(result) == "1 still failing"
     assert 'tests="2"' in (crash.path / "junit.xml").read_text()
     assert not crash.records
 
@@ -88,14 +85,8 @@ def test_repeated_crash_fails_only_its_own_item(crash, more, runs):
 def test_search_after_a_saved_crash_runs_isolated(crash):
     result = crash.run(apart=True)
     result.assert_outcomes(failed=1, passed=2)  # the replay fails; the search finds nothing new
-    result.stdout.fnmatch_lines(
-        [
-            "*[[]search[]]: * of 4 runs failed.",
-            "  crash-*: * run* (known).",
-            "*note: the ADS ran in separate processes, as with --pafot-isolate, because a process has died before*",
-            "*1 saved scenario: 1 still failing*",
-        ]
-    )
+    result.stdout.fnmatch_lines(["  crash-*: * (known).", "*note: * --pafot-isolate*"])
+    assert labels(result) == "1 still failing"
 
 
 @forks
@@ -103,7 +94,7 @@ def test_search_runs_in_session_once_crash_is_fixed(crash):
     crash.mend()
     result = crash.run()
     result.assert_outcomes(passed=3)
-    result.stdout.fnmatch_lines(["*1 passed (not found again)"])
+    assert labels(result) == "1 passed (not found again)"
     result.stdout.no_fnmatch_line("*--pafot-isolate*")
     assert not crash.records
 
@@ -115,12 +106,7 @@ def test_search_runs_isolated_after_a_session_died(project):
     assert project.run("-p", "cacheprovider", apart=True).ret == -signal.SIGSEGV
     result = project.run("-p", "cacheprovider", apart=True)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
-    result.stdout.fnmatch_lines(
-        [
-            "*found *saved-crash-*",
-            "*note: the ADS ran in separate processes, as with --pafot-isolate, *",
-        ]
-    )
+    result.stdout.fnmatch_lines(["*found *saved-crash-*", "*note: * --pafot-isolate*"])
 
 
 @pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
@@ -130,7 +116,7 @@ def test_a_crash_that_comes_no_more_is_fixed(crash, more):
     )
     result = replayed(crash)
     result.assert_outcomes(passed=2, skipped=1)
-    result.stdout.fnmatch_lines(["*1 saved scenario: 1 passed*"])
+    assert labels(result) == "1 passed"
 
 
 def test_accepted_crash_is_tried_and_expires_when_fixed(crash):
@@ -139,12 +125,7 @@ def test_accepted_crash_is_tried_and_expires_when_fixed(crash):
     crash.mend()
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
-    result.stdout.fnmatch_lines(
-        [
-            "*XPASS(strict)*planner issue 12*",
-            "It did not fail (passes). Remove the line `xfail:` from *",
-        ]
-    )
+    result.stdout.fnmatch_lines(["*XPASS(strict)*"])
 
 
 @forks
@@ -157,8 +138,8 @@ def test_ordinary_failure_that_now_kills_process_has_drifted(project):
     assert replayed(project, *asked).ret == -signal.SIGSEGV
     result = replayed(project, *asked)
     result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines(["*1 saved scenario: 1 drifted*"])
-    assert "the process was ended by SIGSEGV instead of" in " ".join(result.stdout.str().split())
+    assert labels(result) == "1 drifted"
+    assert "SIGSEGV" in result.stdout.str()
 
 
 @forks
@@ -167,7 +148,7 @@ def test_process_may_die_of_the_test_function(crash):
     crash.write(TESTS.replace("pass", "import os; os._exit(9)", 1))
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*that ran this scenario ended with exit code 9*"])
+    result.stdout.fnmatch_lines(["* exit code 9*"])
 
 
 @forks
@@ -178,14 +159,12 @@ def test_crash_against_a_reference_is_introduced_or_common(crash):
     )
     # The saved scenario has one other vehicle, those of the search have two.
     once = "def make():\n    return lambda seen: drive(seen) if len(seen.others) == 1 else (0.0, 0.0)\n"
-    for before, runs, told, found in (
-        (keeps, 0, "1 failure introduced, 0 fixed, 0 unchanged", 0),
-        (drives, 0, "0 failures introduced, 0 fixed, 1 unchanged", 0),
-        (once, 1, "1 failure introduced, 0 fixed, 1 unchanged", 1),
-    ):
+    for before, runs, counts, found in (
+        (keeps, 0, [1, 0, 0], 0), (drives, 0, [0, 0, 1], 0), (once, 1, [1, 0, 1], 1),
+    ):  # fmt: skip
         crash.pytester.makepyfile(planner_before=f"from conftest import drive\n\n{before}")
         result = replayed(crash, "--pafot-against=planner_before:make", runs=runs)
-        result.stdout.fnmatch_lines(["*1 saved scenario: 1 still failing*", f"*{told}"])
+        assert (labels(result), compared(result)) == ("1 still failing", counts)
         assert len(crash.files) == 1 + found
 
 
@@ -196,9 +175,7 @@ def test_output_of_the_other_process_is_captured_once(crash):
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
     assert result.stdout.lines.count("judged") == 1
-    result.stdout.re_match_lines(
-        [r"test_it\.py:\d+: assert 7\.0 < 1\.", "The ego hit NPC 0 from behind .*"]
-    )
+    result.stdout.re_match_lines([r"test_it\.py:\d+: assert 7\.0 < 1\."])
 
 
 @forks
@@ -213,6 +190,4 @@ def test_hang_replays_in_a_process_that_is_killed(crash, monkeypatch):
     )
     result = crash.run(runs=0)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
-    result.stdout.fnmatch_lines(
-        ["*that ran this scenario did not answer for 0.5 s and was killed*"]
-    )
+    assert " 0.5 s " in result.stdout.str()

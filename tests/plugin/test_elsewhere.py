@@ -1,9 +1,8 @@
 """A replay that passes, and the search of its test in the same session: is the failure fixed, or only elsewhere?"""
 
-import json
-
 import pytest
 
+from tests.plugin.conftest import labels
 from tests.plugin.test_driving_on import POLICIES, filed
 
 CAREFUL = """
@@ -20,7 +19,7 @@ import policies
 def test_gap(run):
     assert not run.collision
 """
-SEARCHED = ("--pafot-runs=30", "--pafot-json=out.json", "--pafot-shrink-runs=0")
+SEARCHED = ("--pafot-json=pafot.json", "--pafot-shrink-runs=0")
 
 
 def fixed(project, policy, **more):
@@ -34,28 +33,19 @@ def fixed(project, policy, **more):
 def searched(project, *args, runs="30", **options):
     """Return a session that replays and searches: its result, its replays, and the new findings of their failures."""
     result = project.run(*SEARCHED, f"--pafot-runs={runs}", *args, runs=None, seed=1, **options)
-    findings = json.loads((project.path / "out.json").read_text())["findings"]
-    replayed = [each for each in findings if each["status"] != "new"]
-    kinds = [each["signature"] for each in replayed]
-    return (
-        result,
-        replayed,
-        [each["id"] for each in findings if each["status"] == "new" and each["signature"] in kinds],
-    )
+    findings = project.record.findings
+    replayed = [each for each in findings if each.status != "new"]
+    kinds = [each.signature for each in replayed]
+    new = [each.id for each in findings if each.status == "new" and each.signature in kinds]
+    return result, replayed, new
 
 
 def test_a_search_without_such_a_failure_makes_a_pass_a_fix(project):
     fixed(project, "careful")
     result, (replayed,), _ = searched(project)
-    assert (replayed["status"], replayed["elsewhere"]) == ("fixed", "")
-    assert 0 < replayed["searched"] <= 30
-    result.stdout.re_match_lines(
-        [
-            r"replayed 1 saved scenario: 1 passed \(not found again\)",
-            r"  passed \(not found again\): .*",
-            r"    the failure did not occur in \d+ random runs, so it occurs in .*",
-        ]
-    )
+    assert (replayed.status, replayed.elsewhere) == ("fixed", "")
+    assert 0 < replayed.searched <= 30
+    assert labels(result) == "1 passed (not found again)"
 
 
 @pytest.mark.processes
@@ -64,29 +54,20 @@ def test_a_search_that_finds_the_failure_says_where(project, monkeypatch, args):
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
     fixed(project, "braking")
     result, (replayed,), (new,) = searched(project, "--pafot-report=page.html", *args)
-    assert (replayed["status"], replayed["searched"]) == ("still failing", 0)
-    assert (replayed["result"], replayed["elsewhere"]) == ("passed", new)
-    result.stdout.fnmatch_lines(
-        [
-            "replayed 1 saved scenario: 1 passed (found in another scenario)",
-            "  passed (found in another scenario): *",
-            f"    {new} fails in the same way",
-        ]
-    )
-    texts = [
-        (project.path / name).read_text(encoding="utf-8") for name in ("page.html", "summary.md")
-    ]
-    page, summary = texts[0].replace("<wbr>", ""), texts[1]
-    assert "1 passed (found in another scenario)" in summary
-    assert f"{new} fails in the same way" in summary
-    assert "1 saved scenario: 1 passed (found in another scenario)" in page
-    assert f"{replayed['node_id']}: {new} fails in the same way" in page
+    assert (replayed.status, replayed.searched) == ("still failing", 0)
+    assert (replayed.result, replayed.elsewhere) == ("passed", new)
+    label = "1 passed (found in another scenario)"
+    assert labels(result) == label
+    for name in ("page.html", "summary.md"):
+        text = (project.path / name).read_text(encoding="utf-8").replace("<wbr>", "")
+        assert label in text
+        assert new in text
 
 
 def test_a_saved_scenario_that_fails_in_the_same_way_is_elsewhere_as_well(project):
     fixed(project, "braking")
     _, (first,), (new,) = searched(project)
     _, replayed, _ = searched(project)
-    told = {each["id"]: (each["status"], each["elsewhere"]) for each in replayed}
+    told = {each.id: (each.status, each.elsewhere) for each in replayed}
     assert told[new][0] == "still failing"
-    assert told[first["id"]] == ("still failing", new)
+    assert told[first.id] == ("still failing", new)

@@ -22,9 +22,7 @@ def test_takes_another_world(pafot_simulate):
 def test_fails(pafot_simulate):
     assert not pafot_simulate(SCENARIO, lambda: broken).collision
 """)
-    result = project.run()
-    result.assert_outcomes(passed=2, failed=1)
-    result.stdout.fnmatch_lines(["the ADS failed: AttributeError: *'sped'*", "*in broken"])
+    project.run().assert_outcomes(passed=2, failed=1)
 
 
 @pytest.mark.processes
@@ -65,25 +63,6 @@ def test_simulate(pafot_simulate):
     project.run().assert_outcomes(passed=3)
 
 
-def test_invalid_world_fixture_is_one_clear_error(project):
-    project.write("""
-@pytest.fixture(scope="session")
-def pafot_world():
-    return "highway-v0"
-
-@pafot.search
-def test_search(run):
-    pass
-""")
-    result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(
-        [
-            "*expected the fixture pafot_world to return pafot.High*'highway-v0'. Did you mean pafot.World(*-v0*)[?]"
-        ]
-    )
-
-
 INVALID = """
 from hypothesis import given, settings, strategies
 
@@ -119,6 +98,4 @@ def test_generated(pafot_simulate, number):
 
 def test_pafot_simulate_warns_once_of_an_invalid_run_by_hand(project):
     project.write(INVALID)
-    result = project.run("-W", "default")
-    result.assert_outcomes(passed=3, warnings=1)
-    result.stdout.fnmatch_lines(["*PytestWarning: pafot_simulate: the run is invalid, *"])
+    project.run("-W", "default").assert_outcomes(passed=3, warnings=1)

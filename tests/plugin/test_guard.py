@@ -1,6 +1,5 @@
 """A saved scenario or a marked test that a session leaves out fails it on CI, whatever left it out."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -12,6 +11,7 @@ from tests.helpers.tables import table
 from tests.plugin.conftest import FAILING
 
 ERROR = "pafot::saved_scenarios_without_a_test"
+NOT_COLLECTED = "pafot::marked_tests_that_are_not_collected"
 RENAMED = FAILING.replace("test_fails", "test_fails_fast").replace("run.duration < 1", "run")
 FOLDER = "pafot_corpus/test_it/test_fails"
 
@@ -160,12 +160,6 @@ def test_line_names_five_files_and_the_number_of_the_others(saved, ci):
     result = replay(saved)
     assert is_red(result)
     assert told(result) == [f"6 saved scenarios: {five} and 1 more"]
-    result.stdout.fnmatch_lines(
-        [
-            f"this session did not run 6 saved scenarios: {five} and 1 more",
-            "*This is an error because CI is set. To*",
-        ]
-    )
 
 
 def test_every_output_has_what_a_session_left_out(saved, monkeypatch, tmp_path_factory):
@@ -175,20 +169,12 @@ def test_every_output_has_what_a_session_left_out(saved, monkeypatch, tmp_path_f
     summary = tmp_path_factory.mktemp("job") / "summary.md"
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
     monkeypatch.setenv("CI", "true")
-    assert is_red(replay(saved, "--pafot-json=p.json", "--junitxml=j.xml", "-p", "junitxml"))
-    record = json.loads((saved.path / "p.json").read_text())
-    (orphan,) = record["orphans"]
-    assert (record["exit"], orphan["folder"], orphan["files"], orphan["is_gone"]) == (
-        1,
-        FOLDER,
-        1,
-        True,
-    )
-    assert "**Saved scenarios that were not replayed**" in summary.read_text()
-    assert (
-        '<error message="failed on setup with &quot;this session did not run 1'
-        in (saved.path / "j.xml").read_text()
-    )
+    assert is_red(replay(saved, "--pafot-json=pafot.json", "--junitxml=j.xml", "-p", "junitxml"))
+    (orphan,) = saved.record.orphans
+    assert (orphan.folder, orphan.files, orphan.is_gone) == (FOLDER, 1, True)
+    assert saved.record.exit == 1
+    assert f"- `{FOLDER}`: " in summary.read_text()
+    assert "<error " in (saved.path / "j.xml").read_text()
     shutil.move(saved.path / FOLDER, saved.path / f"{FOLDER}_fast")
     replay(saved).assert_outcomes(passed=1, skipped=1)
 
@@ -229,9 +215,9 @@ def test_rootdir_may_be_elsewhere(passing, tmp_path_factory):
     rootdir = f"--rootdir={tmp_path_factory.mktemp('elsewhere')}"
     assert (replay(passing, rootdir).ret, told(replay(passing, rootdir))) == (0, [])
     (passing.path / "driving" / "test_it.py").unlink()
-    replay(passing, rootdir).stdout.fnmatch_lines(
-        [f"ERROR *{ERROR} - *", "*1 passed, 1 error in *"]
-    )
+    result = replay(passing, rootdir)
+    result.assert_outcomes(passed=1, errors=1)
+    result.stdout.fnmatch_lines([f"ERROR *{ERROR} - *"])
 
 
 @pytest.mark.parametrize(("folder", "file"), [
@@ -264,15 +250,13 @@ def test_copies_of_saved_scenarios_that_are_run_are_not_meant(passing):
 
 
 def test_each_of_several_corpora_has_to_be_run(passing):
-    shutil.copytree(passing.path / "driving", passing.path / "my other")
-    (passing.path / "my other" / "test_it.py").rename(passing.path / "my other" / "test_that.py")
-    passing.path.joinpath("my other/pafot_corpus/test_it").rename(
-        passing.path / "my other/pafot_corpus/test_that"
-    )
-    file = next((passing.path / "my other").rglob("*.pafot.yaml"))
-    file.write_text(
-        file.read_text().replace("test: driving/test_it.py", "test: my other/test_that.py")
-    )
+    other = passing.path / "my other"
+    shutil.copytree(passing.path / "driving", other)
+    (other / "test_it.py").rename(other / "test_that.py")
+    (other / "pafot_corpus/test_it").rename(other / "pafot_corpus/test_that")
+    file = next(other.rglob("*.pafot.yaml"))
+    text = file.read_text()
+    file.write_text(text.replace("test: driving/test_it.py", "test: my other/test_that.py"))
     replay(passing).assert_outcomes(passed=3, skipped=2)
     passing.pytester.makeini("[pytest]\ntestpaths = driving\n")
     result = replay(passing)
@@ -283,11 +267,11 @@ def test_each_of_several_corpora_has_to_be_run(passing):
 def test_given_saved_scenario_is_run_and_the_others_are_not_told(saved, ci):
     saved.write(FAILING.replace("< 1", "> 1"))
     name = f"{FOLDER}/{saved.only_file.name}"
-    result = replay(saved, name)
-    assert (result.ret, told(result)) == (0, [])
-    shutil.copy(saved.only_file, saved.path / FOLDER / "a-0.pafot.yaml")
-    result = replay(saved, name)
-    assert (result.ret, told(result)) == (0, [])
+    for copy in (None, saved.path / FOLDER / "a-0.pafot.yaml"):
+        if copy is not None:
+            shutil.copy(saved.only_file, copy)
+        result = replay(saved, name)
+        assert (result.ret, told(result)) == (0, [])
 
 
 def test_rerunning_failures_knows_no_error_of_the_session(saved, ci):
@@ -297,36 +281,30 @@ def test_rerunning_failures_knows_no_error_of_the_session(saved, ci):
     replay(saved, "--lf").stdout.no_fnmatch_line("*known failure*")
 
 
-PLACES = (
-    "pafot_corpus/test_it/test_fails/deeper/still/a.pafot.yaml",
-    "pafot_corpus/test_it/a.pafot.yaml",
-    "pafot_corpus/a.pafot.yaml",
-    "a.pafot.yaml",
-    "pafot_corpus/pafot_corpus/test_it/test_fails/a.pafot.yaml",
-    *(
-        f"{FOLDER}/a{suffix}"
-        for suffix in (
-            ".pafot.yml",
-            ".yml",
-            ".yaml",
-            ".PAFOT.YAML",
-            ".pafot.Yml",
-            ".pafot.yaml.gz",
-            ".pafot.yaml.dvc",
-        )
-    ),
-    "A.Pafot.Yaml",
+SUFFIXES = (
+    ".pafot.yml",
+    ".yml",
+    ".yaml",
+    ".PAFOT.YAML",
+    ".pafot.Yml",
+    ".pafot.yaml.gz",
+    ".pafot.yaml.dvc",
 )
+PLACES = (
+    f"{FOLDER}/deeper/still/a.pafot.yaml", "pafot_corpus/test_it/a.pafot.yaml", "pafot_corpus/a.pafot.yaml",
+    "a.pafot.yaml", f"pafot_corpus/{FOLDER}/a.pafot.yaml", *(f"{FOLDER}/a{suffix}" for suffix in SUFFIXES),
+    "A.Pafot.Yaml",
+)  # fmt: skip
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_a_file_that_no_test_can_replay_fails_a_ci_session(saved, ci, place):
-    target = saved.path / place
-    target.parent.mkdir(parents=True, exist_ok=True)
-    saved.only_file.rename(target)
-    result = replay(saved)
-    assert is_red(result)
-    assert told(result) == [f"1 saved scenario: {place}"]
+def test_a_file_that_no_test_can_replay_fails_a_ci_session(saved, ci):
+    file = saved.only_file
+    for place in PLACES:
+        target = saved.path / place
+        target.parent.mkdir(parents=True, exist_ok=True)
+        file = file.rename(target)
+        result = replay(saved)
+        assert (is_red(result), told(result)) == (True, [f"1 saved scenario: {place}"])
 
 
 def test_corpus_that_the_option_does_not_name_fails_a_ci_session(saved, ci):
@@ -418,51 +396,41 @@ def test_files_behind_links_are_searched_no_deeper_than_tests(saved, ci, tmp_pat
 
 LEFT_OUT = """
 @pafot.search(SHORT)
-def never_at_fault(run):
-    pass
+def never_at_fault(run): pass
 
 @pafot.search(SHORT)
 class Safety:
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 
 class SafetySuite:
     @pafot.search(SHORT)
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 
 class TestIt:
     @pafot.search(SHORT)
-    def drives(self, run):
-        pass
+    def drives(self, run): pass
 
 @pafot.search(SHORT)
 class TestEmpty:
-    def check_it(self, run):
-        pass
+    def check_it(self, run): pass
 
 class TestConstructed:
-    def __init__(self):
-        pass
+    def __init__(self): pass
 
     @pafot.search(SHORT)
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 
 @pafot.search(SHORT)
 def test_twice(run):
     assert not run
 
-def test_twice():
-    pass
+def test_twice(): pass
 
 if pytest:
     @pafot.search(SHORT)
-    def test_once(run):
-        pass
+    def test_once(run): pass
 else:
-    def test_once():
-        pass
+    def test_once(): pass
 """
 IN_CONFTEST = """
 import pytest_pafot as pafot
@@ -475,21 +443,17 @@ COLLECTED = """
 from shared import test_shared, Shared
 
 @pafot.search(SHORT)
-def never(run):
-    pass
+def never(run): pass
 
 test_never = never
 
 @pafot.search(SHORT)
 class Base:
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 
-class TestDerived(Base):
-    pass
+class TestDerived(Base): pass
 
-class TestShared(Shared):
-    pass
+class TestShared(Shared): pass
 
 @pafot.search(SHORT)
 class Helper:
@@ -498,18 +462,15 @@ class Helper:
 class Meta(type):
     pytestmark = pytest.mark.skip
 
-def drives(run):
-    pass
+def drives(run): pass
 """
 SHARED = """
 @pafot.search(SHORT)
-def test_shared(run):
-    pass
+def test_shared(run): pass
 
 class Shared:
     @pafot.search(SHORT)
-    def test_it(self, run):
-        pass
+    def test_it(self, run): pass
 """
 
 
@@ -539,10 +500,7 @@ def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, monkeypa
     monkeypatch.setenv("CI", "true")
     result = replay(project, no_warning, "--pafot-allow-orphans")
     assert result.ret == 1
-    counted = "pytest did not collect 8 tests with a pafot mark: conftest.py::test_in_conftest, *"
-    result.stdout.fnmatch_lines(
-        [counted, f"ERROR pafot::marked_tests_that_are_not_collected - {counted}"]
-    )
+    result.stdout.fnmatch_lines([f"ERROR {NOT_COLLECTED} - * 8 *"])
     assert replay(project, no_warning, "test_it.py::test_once").ret == 0  # a narrower choice
 
 
@@ -585,32 +543,29 @@ def test_saved_scenarios_that_a_checkout_leaves_out_fail_a_ci_session(saved, ci)
     assert (is_red(result), told(result)) == (True, ["1 saved scenario: pafot_corpus"])
 
 
-@pytest.mark.parametrize(
-    "place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"]
-)
-def test_what_is_no_folder_of_saved_scenarios_fails_a_ci_session(saved, ci, monkeypatch, place):
-    with monkeypatch.context() as patch:
-        unlisted(patch, saved.path / place)
-        assert is_red(replay(saved))
-    shutil.rmtree(saved.path / place)
-    # so git writes a link, where it may not make links
-    (saved.path / place).write_text("../elsewhere")
-    result = replay(saved)
-    assert (is_red(result), told(result)) == (True, [f"1 saved scenario: {place}"])
+def test_what_is_no_folder_of_saved_scenarios_fails_a_ci_session(saved, ci, monkeypatch):
+    for place in (FOLDER, "pafot_corpus/test_it", "pafot_corpus"):
+        with monkeypatch.context() as patch:
+            unlisted(patch, saved.path / place)
+            assert is_red(replay(saved))
+    for place in (FOLDER, "pafot_corpus/test_it", "pafot_corpus"):
+        shutil.rmtree(saved.path / place)
+        # so git writes a link, where it may not make links
+        (saved.path / place).write_text("../elsewhere")
+        result = replay(saved)
+        assert (is_red(result), told(result)) == (True, [f"1 saved scenario: {place}"])
+        (saved.path / place).unlink()
+        (saved.path / place).mkdir()
 
 
-@pytest.mark.parametrize(
-    "given", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"]
-)
-def test_corpus_on_the_command_line_is_replayed(saved, given):
+def test_corpus_on_the_command_line_is_replayed(saved):
     saved.write("def test_unit():\n    pass\n", name="test_unit")
-    replay(saved, given).assert_outcomes(failed=1)
-    replay(saved, given, "test_unit.py").assert_outcomes(failed=1, passed=1)
+    for given in ("pafot_corpus", "pafot_corpus/test_it", FOLDER):
+        replay(saved, given).assert_outcomes(failed=1)
+        replay(saved, given, "test_unit.py").assert_outcomes(failed=1, passed=1)
 
 
 def test_walk_ends_after_some_folders_and_says_so(saved, ci, monkeypatch):
     monkeypatch.setattr("pytest_pafot.plugin.guard.MAX_FOLDERS", 1)
     result = replay(saved)
-    result.stdout.fnmatch_lines(
-        ["*problem: the list of saved scenarios may be incomplete, as it covers only 1 folders"]
-    )
+    result.stdout.fnmatch_lines(["*problem: * 1 folders"])

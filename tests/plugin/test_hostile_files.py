@@ -65,33 +65,23 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     monkeypatch.setenv("CI", "1")
     monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(saved.path / "summary.md"))
-    options = [
-        "--junitxml=junit.xml",
-        "--pafot-report=page.html",
-        "--pafot-json=session.json",
-        "-rA",
-        "-v",
-        "-l",
-    ]
-    result = saved.run(*options, "--color=no", runs=0)
+    outputs = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=pafot.json"]
+    result = saved.run(*outputs, "-rA", "-v", "-l", "--color=no", runs=0)
     assert not result.errlines
     assert obeyed(result.stdout.str()) == []
     assert r"\x1b]0;T\x07" in result.stdout.str()
-    for tag in ("xfail", "FAILED", "not run", "warning", "problem: a process (pid"):
+    for tag in ("xfail", "FAILED", "not run", "warning", "problem: "):
         assert tag in result.stdout.str(), tag
-    for name in ("junit.xml", "summary.md", "page.html", "session.json"):
+    for name in ("junit.xml", "summary.md", "page.html", "pafot.json"):
         assert obeyed((saved.path / name).read_text(encoding="utf-8")) == [], name
     markup = re.sub(r"(`+).*?\1(?!`)", "", (saved.path / "summary.md").read_text())  # without code
     assert not re.search(r"<(?!br>|/?span>)|(?<!\\)\||@(?!&#8203;)|\$(?!</span>)", markup)
     assert "<img" not in (saved.path / "page.html").read_text()
     ElementTree.parse(saved.path / "junit.xml")
-    records = json.loads((saved.path / "session.json").read_text())["findings"]
+    records = {record.id: record for record in saved.record.findings}
     assert len(records) == count
-    assert any(
-        record["id"] == f"name {WORST}" and record["file"].endswith(f"{WORST}.pafot.yaml")
-        for record in records
-    )
-    assert any(record["xfail"] == {"reason": WORST, "until": "2027-01-31"} for record in records)
+    assert records[f"name {WORST}"].file.endswith(f"{WORST}.pafot.yaml")
+    assert records["accepted"].xfail == {"reason": WORST, "until": "2027-01-31"}
     # files without differences by style
     for name in ("accepted", "over", "flaky", "value", "nested", "key", "scalar"):
         next(saved.path.glob(f"pafot_corpus/*/*/{name}.pafot.yaml")).unlink()
@@ -109,10 +99,7 @@ def test_workers_accept_file_names_that_are_not_text(saved):
     for folder in (test, test.with_name(os.fsdecode(b"\xffgone"))):
         folder.mkdir(exist_ok=True)
         (folder / os.fsdecode(b"\xff.pafot.yaml")).write_text("pafot: 3\n")
-    result = saved.run("-n1", "--pafot-json=session.json", runs=0, apart=True)
+    result = saved.run("-n1", "--pafot-json=pafot.json", runs=0, apart=True)
     assert "crashed" not in result.stdout.str()
-    result.stdout.fnmatch_lines([r"not run: 1 saved scenario: *\udcffgone/\udcff.pafot.yaml"])
-    files = [
-        each["file"] for each in json.loads((saved.path / "session.json").read_text())["findings"]
-    ]
-    assert any(file.endswith("\udcff.pafot.yaml") for file in files)
+    result.stdout.fnmatch_lines([r"not run: *\udcffgone/\udcff.pafot.yaml"])
+    assert any(each.file.endswith("\udcff.pafot.yaml") for each in saved.record.findings)

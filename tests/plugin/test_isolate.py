@@ -43,8 +43,7 @@ def test_many(run):
     assert not run.collision
     assert run.min_distance > 1.9
 
-def test_ordinary():
-    pass
+def test_ordinary(): pass
 """
 
 DIES = """
@@ -122,17 +121,14 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
     project = isolated("drive", DIES)
     result = project.run("--pafot-isolate", "--pafot-shrink-runs=0", runs=12, apart=True)
     (crash,) = [name for name in project.files if "crash-" in name]
-    assert (
-        load(project.path / crash).expect.message
-        == "the process that ran this scenario ended with exit code 9"
-    )
+    assert load(project.path / crash).expect.message.endswith(" exit code 9")
     assert len(project.files) > 1
     result.assert_outcomes(failed=1 + len(project.files), passed=1)
-    result.stdout.fnmatch_lines(["*[[]search[]]: * of 12 r* failed*"])
-    result.stdout.no_fnmatch_line("*ended early*")
-    result.stdout.no_fnmatch_line("*did not finish*")
-    again = project.run("--pafot-isolate", "--pafot-shrink-runs=0", runs=12, apart=True)
-    again.stdout.re_match_lines([rf"  {crash.rpartition('/')[2][:-11]}: \d+ runs? \(known"])
+    options = ("--pafot-isolate", "--pafot-shrink-runs=0", "--pafot-json=pafot.json")
+    project.run(*options, runs=12, apart=True)
+    (search,) = project.record.searches
+    assert search.reason == "all runs done"
+    assert crash.rpartition("/")[2][:-11] in search.known
     assert not project.records
 
 
@@ -140,9 +136,7 @@ def test_exception_of_another_process_is_not_retried_here(isolated):
     more = "def breaks(observation):\n    note()\n    runner.run_recorded = None\n    return 0.0, 0.0\n"
     project = isolated("breaks", f"from pytest_pafot.execution import runner\n\n{more}")
     result = project.run("--pafot-isolate", "-p", "no:cacheprovider", runs=4)
-    result.stdout.fnmatch_lines(
-        ["*TypeError: 'NoneType' object is not callable*", "*so the session does not run it again*"]
-    )
+    result.stdout.fnmatch_lines(["*TypeError: 'NoneType'*"])
     assert result.parseoutcomes()["passed"] == 1
     assert f"pid-{os.getpid()}" not in {path.name for path in project.path.glob("pid-*")}
 
@@ -163,8 +157,7 @@ def test_process_death_while_shrinking_is_a_finding(isolated):
     assert len(load(project.path / crash).scenario.npcs) == 1
     assert load(project.path / other).shrunk is not None
     result.assert_outcomes(failed=3, passed=1)
-    # none of the search
-    result.stdout.fnmatch_lines(["  crash-*: 0 runs (new).", "FAILED * 2 new failures in *"])
+    result.stdout.fnmatch_lines(["  crash-*: 0 runs (new)."])  # none of the search
 
 
 ONCE = """
@@ -185,7 +178,7 @@ def test_finding_whose_rerun_kills_process_is_flaky(isolated):
         "drive", ONCE, MANY.replace("assert not run.collision", "assert run.duration < 1")
     )
     result = project.run("--pafot-isolate", "--pafot-stop-after=1", runs=4, apart=True)
-    assert load(project.only_file).flaky == "the process that ran it again ended with exit code 9"
+    assert load(project.only_file).flaky.endswith(" exit code 9")
     result.assert_outcomes(failed=2, passed=1)
 
 
@@ -228,5 +221,5 @@ def test_simulated_scenario_is_isolated_as_well_and_the_test_sees_what_its_polic
     project.write(EXITS.replace("PID", str(os.getpid())) + SCENARIO + SIMULATED)
     result = project.run("--pafot-isolate", runs=None)
     result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines(["*ended with exit code 0*"])
+    result.stdout.fnmatch_lines(["* exit code 0*"])
     project.run(runs=None).assert_outcomes(passed=2)

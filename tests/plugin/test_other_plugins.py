@@ -44,10 +44,8 @@ OTHERS = {
 def test_passing_search_without_cache_leaves_no_files(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
     project.run("-p", "no:cacheprovider").assert_outcomes(passed=1)
-    assert {path.name for path in project.path.iterdir()} - {"__pycache__"} == {
-        "conftest.py",
-        "test_it.py",
-    }
+    expected = {"conftest.py", "test_it.py"}
+    assert {path.name for path in project.path.iterdir()} - {"__pycache__"} == expected
 
 
 @pytest.mark.parametrize("plugin", OTHERS)
@@ -110,7 +108,7 @@ def test_one(run):
 def test_under_pdb_a_note_says_what_was_found(failing, monkeypatch):
     monkeypatch.setattr("pdb.Pdb.interaction", lambda *stands: None)
     result = failing.run("--pdb")
-    result.stdout.fnmatch_lines([f"E  *1 new failure in 1 run: {failing.only_id}"])
+    result.stdout.fnmatch_lines([f"E  *: {failing.only_id}"])
 
 
 def test_collect_only_lists_the_items_and_like_setup_plan_simulates_nothing(project):

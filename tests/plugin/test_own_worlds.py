@@ -1,8 +1,11 @@
 """Worlds that are code: simulators and wrapped environments are searched and replayed as tests name them."""
 
+import re
+
 import pytest
 
 from pytest_pafot.corpus.reader import load
+from tests.plugin.conftest import labels
 
 WRAPPED = """
 from gymnasium.wrappers import FlattenObservation, FrameStackObservation
@@ -25,23 +28,6 @@ def test_fails(run):
     assert run.VERDICT
 """
 FAILS, PASSES = "outcome == 'x'", "outcome"
-RING = """
-class Ring:
-    speed_limit, longest_run = 26.8, 10.0
-
-    def rollout(self, scenario, ads_factory):
-        return pafot.Highway(duration=10.0).rollout(scenario, ads_factory)
-
-    def to_dict(self):
-        return {}
-
-class Derived(pafot.Highway):
-    pass
-
-@pafot.search(genes=2, gene_seconds=5, npcs=1, world=WORLD)
-def test_fails(run):
-    assert run.VERDICT
-"""
 SIMULATOR = """
 import math
 
@@ -79,46 +65,21 @@ def saved_wrapped(project):
     return project
 
 
-WAY_OUT = "Derive your own simulator from pafot.Simulator, and pass it to pafot.SimulatorWorld"
-
-
-@pytest.mark.parametrize(("world", "told"), [
-    ("Ring()", f"received <test_it.Ring object at *>. {WAY_OUT}"),
-    ("Ring", f"received <class 'test_it.Ring'>. {WAY_OUT}"),
-    ("Derived()", "received Derived(*. Use pafot.Highway itself, because a file cannot describe*"),
-    ("pafot.Highway", "received <class *Highway'>. Call it: Highway(...)"),
-])  # fmt: skip
-def test_what_is_no_world_of_the_package_is_refused_with_the_way_out(project, world, told):
-    write(project, RING, WORLD=world, VERDICT=PASSES)
-    result = project.run(runs=4)
-    expected = "expected pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...)"
-    result.stdout.fnmatch_lines([f"*@pafot.search(world=...): {expected}, {told}*"])
-
-
-def test_old_file_of_a_world_with_a_rollout_is_refused_with_the_way_out_and_others_are_replayed(
-    project,
-):
+def test_old_file_of_a_world_with_a_rollout_is_refused_and_others_are_replayed(project):
     write(project, SIMULATOR, VERDICT=FAILS)
     project.run(runs=4)
     path = project.only_file
     assert load(path).world["kind"] == "own"
-    old = path.with_name("old-000000.pafot.yaml")
-    lines = path.read_text().splitlines(keepends=True)
-    start = next(number for number, line in enumerate(lines) if line.startswith("world:"))
-    end = next(
-        number for number in range(start + 1, len(lines)) if not lines[number].startswith(" ")
+    old, text = path.with_name("old-000000.pafot.yaml"), path.read_text()
+    old.write_text(
+        re.sub(
+            r"(?m)^world:.*\n( .*\n)*", "world: {kind: own, class: Ring, data: {lanes: 3}}\n", text
+        )
     )
-    lines[start:end] = ["world: {kind: own, class: Ring, data: {lanes: 3}}\n"]
-    old.write_text("".join(lines))
-    result = project.run(runs=0)
+    result = project.run("--pafot-json=pafot.json", runs=0)
     result.assert_outcomes(failed=2, skipped=1)
-    expected = "expected a file with a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
-    received = (
-        "received a simulator of the class Ring with its own rollout, which is no longer supported"
-    )
-    result.stdout.fnmatch_lines(
-        [f"*old-000000.pafot.yaml:*: world: {expected}, {received}. Derive a *, search again *"]
-    )
+    expected = {"old-000000": "error", load(path).id: "still failing"}
+    assert {each.id: each.status for each in project.record.findings} == expected
 
 
 # --- environments in wrappers
@@ -127,33 +88,23 @@ def test_old_file_of_a_world_with_a_rollout_is_refused_with_the_way_out_and_othe
 def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, saved_wrapped):
     assert load(saved_wrapped.only_file).world["wrappers"] == ["FlattenObservation"]
     assert load(saved_wrapped.only_file).flaky is None
-    saved_wrapped.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    assert labels(saved_wrapped.run(runs=0)) == "1 still failing"
     wrapped(saved_wrapped, verdict=PASSES)
-    saved_wrapped.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passed"])
+    assert labels(saved_wrapped.run(runs=0)) == "1 passed"
 
 
-@pytest.mark.parametrize(("wrappers", "shape", "now"), [
-    ("wrappers=[FlattenObservation, lambda env: FrameStackObservation(env, 2)]", "(2, 25)", "'FrameStackOb*'"),
-    ("", "(5, 5)", "missing"),
+@pytest.mark.parametrize(("wrappers", "shape"), [
+    ("wrappers=[FlattenObservation, lambda env: FrameStackObservation(env, 2)]", "(2, 25)"), ("", "(5, 5)"),
 ])  # fmt: skip
-def test_other_wrappers_than_in_the_file_are_drift(saved_wrapped, wrappers, shape, now):
+def test_other_wrappers_than_in_the_file_are_drift_and_another_environment_an_error(
+    saved_wrapped, wrappers, shape
+):
     wrapped(saved_wrapped, wrappers, shape, PASSES)
-    result = saved_wrapped.run("--pafot-strict-drift", runs=0)
-    result.stdout.fnmatch_lines(
-        [f"*drifted*: world.wrappers is [[]'FlattenObservation'] in the file, *{now}* now*"]
-    )
-
-
-def test_a_test_that_names_another_environment_is_refused(saved_wrapped):
+    saved_wrapped.run("--pafot-strict-drift", "--pafot-json=pafot.json", runs=0)
+    (found,) = saved_wrapped.record.findings
+    assert (found.status, "world.wrappers" in found.detail) == ("drifted", True)
     wrapped(saved_wrapped)
     path = saved_wrapped.path / "test_it.py"
     path.write_text(path.read_text().replace("highway-v0", "highway-fast-v0"))
-    result = saved_wrapped.run(runs=0)
-    result.stdout.fnmatch_lines(
-        [
-            (
-                "*pafot.World('highway-v0') with FlattenObservation, *, received "
-                "pafot.World('highway-fast-v0') with Flatten*"
-            )
-        ]
-    )
+    saved_wrapped.run("--pafot-json=pafot.json", runs=0)
+    assert saved_wrapped.record.findings[0].status == "error"

@@ -26,7 +26,7 @@ def impatient(monkeypatch):
 def test_log_gets_whole_lines_during_the_search(project, impatient):
     project.write(PASSES)
     result = project.run(runs=8)
-    result.stdout.fnmatch_lines(["pafot: *test_passes[[]search[]] 1/8 runs, 0 failed, 0 new, *"])
+    result.stdout.fnmatch_lines(["pafot: *test_passes[[]search[]] 1/8 *"])
 
 
 def test_a_log_is_not_flooded(project):

@@ -1,48 +1,39 @@
 """Errors at the end of a session appear in its summary, together with the texts of all failures."""
 
 import importlib
-import json
 import os
 import signal
 import sys
 import time
-from datetime import date
 
 import pytest
 
 import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; this one is patched
-from pytest_pafot.plugin.session import stale_day
 from tests.plugin.test_session_records import IS_CUT
 
-FAILS = """
+FAILURE = "the text of the failure"
+FAILS = f"""
 @pafot.search(SHORT, shrink_runs=0)  # stop_after=1
 def test_fails(run):
-    assert run.duration < 1, "the text of the failure"
+    assert run.duration < 1, "{FAILURE}"
 """
-
-
-def text_of(result):
-    """Return a session's output on one line."""
-    return " ".join(result.stdout.str().split())
 
 
 def is_whole(result):
     """Return whether a session ended normally with failed tests, and has the text of the failure."""
-    result.stdout.fnmatch_lines(["*the text of the failure*", "FAILED test_it.py::test_fails*"])
-    return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in result.stdout.str()
+    text = result.stdout.str()
+    assert FAILURE in text
+    assert "FAILED test_it.py::test_fails" in text
+    return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in text
 
 
-PAGE = "problem: --pafot-report=x.html: the page was not written: "
-RECORDS = "problem: the records of processes that died were not read: "
-
-
-@pytest.mark.parametrize(("function", "error", "expected"), [
-    ("plugin.reporter.unclaimed", ValueError, f"{RECORDS}ValueError: a fault"),
-    ("report.page.render_page", ValueError, f"{PAGE}ValueError: a fault"),
-    ("report.page.render_page", KeyboardInterrupt, f"{PAGE}KeyboardInterrupt: a fault"),
-    ("report.terminal.session_lines", ValueError, "pafot: the summary was not printed: ValueError: a fault"),
+@pytest.mark.parametrize(("function", "error"), [
+    ("plugin.reporter.unclaimed", ValueError),
+    ("report.page.render_page", ValueError),
+    ("report.page.render_page", KeyboardInterrupt),
+    ("report.terminal.session_lines", ValueError),
 ], ids=["records", "report", "interrupt", "summary"])  # fmt: skip
-def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, error, expected):
+def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, error):
     def fail(*arguments, **named):
         raise error("a fault")
 
@@ -52,7 +43,8 @@ def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function
     monkeypatch.setattr(f"pytest_pafot.{function}", fail)
     result = project.run("--pafot-report=x.html")
     assert is_whole(result)
-    assert [line.strip() for line in result.stdout.lines if "a fault" in line] == [expected]
+    (line,) = [line for line in result.outlines if "a fault" in line]
+    assert line.endswith(f"{error.__name__}: a fault")
 
 
 def test_unreportable_findings_of_interrupted_session_are_named(project, monkeypatch):
@@ -60,10 +52,8 @@ def test_unreportable_findings_of_interrupted_session_are_named(project, monkeyp
     monkeypatch.setattr("pytest_pafot.plugin.reporter.report_on", lambda report, when, **_: 1 / 0)
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
-    text = text_of(result)
-    assert (
-        "problem: test_it.py::test_fails[search]: the findings were not reported: ZeroDivisionError: "
-        in text
+    result.stdout.fnmatch_lines(
+        ["*problem: test_it.py::test_fails?search?: *: ZeroDivisionError: *"]
     )
 
 
@@ -92,10 +82,7 @@ def leak():
     project.leave_behind("test_old.py::test_dies")
     result = project.run("--pafot-report=x.html", apart=True)
     assert is_whole(result)
-    text = text_of(result)
-    assert "problem: --pafot-report=x.html: the page was not written: " in text
-    assert "received the error: Too many open files. " in " ".join(text.split())
-    assert "Close the files that the ADS and the tests have opened" in " ".join(text.split())
+    result.stdout.fnmatch_lines(["*problem: --pafot-report=x.html: *Too many open files*"])
 
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
@@ -115,11 +102,10 @@ def test_a_signal_while_a_finding_is_reported_does_not_lose_it(project, monkeypa
 
     project.write(FAILS)
     monkeypatch.setattr(f"{module}.{name}", interrupted)
-    result = project.run("--pafot-report=x.html", "--pafot-json=x.json", no_reraise_ctrlc=True)
-    record = json.loads((project.path / "x.json").read_text())
-    [file], [found] = project.files, record["findings"]
-    assert (result.ret, record["exit"], found["file"]) == (2, 2, file)
-    assert found["id"] in (project.path / "x.html").read_text()
+    result = project.run("--pafot-report=x.html", "--pafot-json=pafot.json", no_reraise_ctrlc=True)
+    [file], [found] = project.files, project.record.findings
+    assert (result.ret, project.record.exit, found.file) == (2, 2, file)
+    assert found.id in (project.path / "x.html").read_text()
 
 
 def test_the_report_of_a_finding_does_not_show_what_interrupted_its_confirmation(
@@ -130,9 +116,9 @@ def test_the_report_of_a_finding_does_not_show_what_interrupted_its_confirmation
 
     project.write(FAILS)
     monkeypatch.setattr("pytest_pafot.searches.bench.Bench.confirm", interrupted)
-    text = text_of(project.run(no_reraise_ctrlc=True))
-    assert "AssertionError: the text of the failure" in text
-    assert "During handling of the above exception" not in text
+    text = project.run(no_reraise_ctrlc=True).stdout.str()
+    assert f"AssertionError: {FAILURE}" in text
+    assert "During handling" not in text
 
 
 EXITS = """
@@ -141,8 +127,7 @@ def leaves():
     pytest.exit("enough", returncode=0)
 
 @pafot.search(SHORT)
-def test_in_fixture(run, leaves):
-    pass
+def test_in_fixture(run, leaves): pass
 """
 
 
@@ -150,10 +135,9 @@ def test_in_fixture(run, leaves):
 def test_no_session_on_ci_passes_without_its_searches(project, monkeypatch, ci, code):
     monkeypatch.setenv("CI", ci)
     project.write(EXITS)
-    result = project.run("--pafot-json=x.json")
-    assert (result.ret, json.loads((project.path / "x.json").read_text())["exit"]) == (code, code)
-    problem = "problem: 1 item did not finish (first: test_it.py::test_in_fixture[search])"
-    assert (problem in text_of(result)) is bool(code)
+    result = project.run("--pafot-json=pafot.json")
+    assert (result.ret, project.record.exit) == (code, code)
+    assert len(project.record.problems) == bool(code)
 
 
 UNRUN = """
@@ -173,12 +157,9 @@ def test_no_session_on_ci_passes_whose_items_a_hook_leaves_out(project, monkeypa
     conftest = project.path / "conftest.py"
     conftest.write_text(conftest.read_text() + UNRUN)
     project.write(f"{EXITS}\n@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
-    result = project.run(*arguments)
-    assert result.ret == 2
-    assert (
-        "problem: 2 items did not finish (first: test_it.py::test_in_fixture[search])"
-        in text_of(result)
-    )
+    assert project.run(*arguments, "--pafot-json=pafot.json").ret == 2
+    (problem,) = project.record.problems
+    assert problem.startswith("2 items ")
 
 
 ALWAYS = """
@@ -212,9 +193,6 @@ def test_no_session_passes_whose_failures_a_hook_calls_passed(project):
     project.run("--pafot-shrink-runs=0").assert_outcomes(failed=2)
     result = project.run("--pafot-runs=0")
     result.assert_outcomes(failed=1, skipped=1)
-    assert "a pytest_runtest_makereport hook hid this failure. To accept it, use xfail" in text_of(
-        result
-    )
 
 
 @pytest.mark.parametrize(("ci", "code"), [("", 0), ("true", 1)])
@@ -222,11 +200,8 @@ def test_no_session_on_ci_passes_that_ends_in_time_after_a_failure(project, monk
     monkeypatch.setenv("CI", ci)
     (project.path / "conftest.py").write_text(LEAVES)
     project.write(ALWAYS)
-    result = project.run("--pafot-shrink-runs=0")
-    assert result.ret == code
-    assert ("problem: 2 items failed (first: test_it.py::test_fails[s" in text_of(result)) is bool(
-        code
-    )
+    result = project.run("--pafot-shrink-runs=0", "--pafot-json=pafot.json")
+    assert (result.ret, len(project.record.problems)) == (code, code)
 
 
 def test_failures_of_other_tests_end_a_session_on_ci_as_its_hooks_say(project, monkeypatch):
@@ -234,13 +209,6 @@ def test_failures_of_other_tests_end_a_session_on_ci_as_its_hooks_say(project, m
     (project.path / "conftest.py").write_text(LEAVES)
     project.write("def test_of_something_else():\n    assert False\n")
     assert project.run().ret == 0
-
-
-@pytest.mark.parametrize(
-    ("day", "is_told"), [("2026-10-29", True), ("2026-10-30", False), ("2026-11-30", False)]
-)
-def test_a_day_that_is_over_is_told(day, is_told):
-    assert bool(stale_day(day, date(2026, 10, 31))) is is_told
 
 
 EXITING = """
@@ -265,6 +233,16 @@ def test_it(run):
 """
 
 
+PLAIN = {
+    "imported": "",
+    "daemon": True,
+    "ends": "0.0, 0.0",
+    "late": "pass",
+    "runs": 1,
+    "holds": "run",
+}
+
+
 @pytest.mark.parametrize(("changes", "code"), [
     ({"ends": "os._exit(0)"}, 2),
     ({"ends": "os.execv('/bin/true', ['true'])"}, 2),
@@ -275,29 +253,15 @@ def test_it(run):
 ], ids=["_exit", "exec", "abort", "import", "thread", "late_thread"])  # fmt: skip
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 def test_no_session_passes_that_a_policy_ends(project, changes, code):
-    plain = {
-        "imported": "",
-        "daemon": True,
-        "ends": "0.0, 0.0",
-        "late": "pass",
-        "runs": 1,
-        "holds": "run",
-    }
-    project.write(EXITING.format(**{**plain, **changes}))
-    result = project.run("--pafot-shrink-runs=0", fresh=True)
-    assert result.ret == code
-    assert ("Use --pafot-isolate to prevent that" in result.stdout.str()) is (code != 1)
+    project.write(EXITING.format(**PLAIN | changes))
+    assert project.run("--pafot-shrink-runs=0", fresh=True).ret == code
 
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 @pytest.mark.parametrize("late", ["time.sleep(60)", "while True: pass"])
 def test_interrupted_session_waits_for_no_thread_of_a_policy(project, late):
-    interrupt = "os.kill(os.getpid(), 2)"
-    project.write(
-        EXITING.format(
-            imported="", daemon=False, ends="0.0, 0.0", late=late, runs=1000, holds=interrupt
-        )
-    )
+    changes = {"daemon": False, "late": late, "runs": 1000, "holds": "os.kill(os.getpid(), 2)"}
+    project.write(EXITING.format(**PLAIN | changes))
     begin = time.monotonic()
     result = project.run("--junitxml=x.xml", fresh=True)
     assert (result.ret, (project.path / "x.xml").exists()) == (2, True)

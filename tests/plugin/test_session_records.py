@@ -1,7 +1,6 @@
 """A session's reports to programs: ``--pafot-json``, the summary of a CI job and properties for JUnit."""
 
 import json
-import os
 import re
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -54,7 +53,7 @@ def record_of(project, name="pafot.json"):
 
 def recorded(project, *args, **options):
     project.run("--pafot-json=pafot.json", *args, **options)
-    return record_of(project)
+    return project.record
 
 
 def properties(project):
@@ -77,20 +76,12 @@ def test_a_search_and_its_find_are_recorded(failing):
         [saved.id],
     )
     assert (search.base_seed, search.seed) == (1, saved.found.seed)
-    assert search.message == f"1 new failure in {search.runs} run: {find.id}"
-    assert (find.node_id, find.status, find.result) == (
-        f"test_it.py::test_fails[saved-{saved.id}]",
-        "new",
-        "failed",
-    )
+    assert search.message.endswith(f": {find.id}")
+    expected = f"test_it.py::test_fails[saved-{saved.id}]", "new", "failed"
+    assert (find.node_id, find.status, find.result) == expected
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
     assert (find.signature, find.responsible) == (saved.signature.told, saved.expect.responsibility)
     assert find.runs == search.failing > 0
-
-
-def test_record_has_the_day_of_the_option(project):
-    assert recorded(project, "--pafot-today=2027-01-31").day == "2027-01-31"
-    assert recorded(project).day is None
 
 
 def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
@@ -107,26 +98,22 @@ def test_expired_xfail_is_recorded_with_a_warning(saved):
     records = [
         recorded(saved, f"--pafot-today={day}", runs=0) for day in ("2027-01-31", "2027-02-01")
     ]
+    assert [record.day for record in records] == ["2027-01-31", "2027-02-01"]
     assert [record.findings[0].result for record in records] == ["xfailed", "failed"]
     accepted = {"reason": "planner issue 12", "until": "2027-01-31"}
     assert [record.findings[0].xfail for record in records] == [accepted] * 2
     assert (records[0].exit, records[0].searches, records[0].warnings) == (0, [], [])
     (warning,) = records[1].warnings
-    told = f"{saved.files[0]}: the failure is no longer accepted (planner issue 12, until 2027-01-31). "
-    assert warning.startswith(told)
+    assert warning.startswith(f"{saved.files[0]}: ")
 
 
 def test_unreadable_file_is_recorded_with_the_reason(saved):
     name = saved.files[0]
     saved.only_file.write_text("pafot: 99\n")
     (find,) = recorded(saved, runs=0).findings
-    assert (find.id, find.file, find.status, find.result) == (
-        saved.only_id,
-        name,
-        "error",
-        "failed",
-    )
-    assert "expected format version" in find.detail
+    expected = saved.only_id, name, "error", "failed"
+    assert (find.id, find.file, find.status, find.result) == expected
+    assert "99" in find.detail
 
 
 def test_search_that_cannot_start_is_recorded_with_reason(project):
@@ -179,13 +166,7 @@ def test_lost_process_is_recorded_alike(project):
     project.write(ABORTS)
     texts = []
     for _ in range(2):
-        project.run(
-            "--pafot-json=pafot.json",
-            "--pafot-isolate",
-            "--pafot-save=none",
-            "--pafot-runs=2",
-            runs=None,
-        )
+        project.run("--pafot-json=pafot.json", "--pafot-isolate", "--pafot-save=none", runs=2)
         texts.append((project.path / "pafot.json").read_text())
     assert texts[0] == texts[1]
     assert json.loads(texts[0])["findings"]
@@ -195,12 +176,8 @@ def test_junit_properties_identify_search_finding_and_replay(failing):
     failing.run("--junitxml=junit.xml")
     find = load(failing.only_file)
     search, found = properties(failing).values()
-    told = {
-        "pafot_id": find.id,
-        "pafot_signature": find.signature.text,
-        "pafot_file": failing.files[0],
-    }
-    told["pafot_severity"] = "none"  # an assertion about the run's length has no severity
+    told = {"pafot_id": find.id, "pafot_signature": find.signature.text}
+    told |= {"pafot_file": failing.files[0], "pafot_severity": "none"}  # of an assertion
     assert search == found == {"pafot_seed": str(find.found.seed), "pafot_base_seed": "1", **told}
     failing.run("--junitxml=junit.xml", runs=0)
     replay = properties(failing)[f"test_fails[saved-{find.id}]"]
@@ -248,53 +225,27 @@ def test_it(run, record_property, record_testsuite_property, record_xml_attribut
 
 
 def test_properties_of_a_marked_test_are_those_of_one_run(project):
-    pytest_warnings = "-Wignore::pytest.PytestExperimentalApiWarning"
     project.write(RECORDING)
-    arguments = (
-        "--junitxml=junit.xml",
-        pytest_warnings,
-        "-ojunit_family=xunit1",
-        "--pafot-stop-after=1",
-    )
+    arguments = ["--junitxml=junit.xml", "-ojunit_family=xunit1", "--pafot-stop-after=1"]
+    arguments.append("-Wignore::pytest.PytestExperimentalApiWarning")
     project.run(*arguments)
 
     def recorded():
         root = ElementTree.parse(project.path / "junit.xml").getroot()
-        suite = [
-            (each.get("name"), each.get("value"))
-            for each in root.findall("testsuite/properties/property")
-        ]
-        assert suite == [("suite", "S-1")]
-        return {
-            case.get("name"): [
-                (each.get("name"), each.get("value"))
-                for each in case.iter("property")
-                if not each.get("name").startswith("pafot")
-            ]
-            for case in root.iter("testcase")
-        }
+        suite = root.findall("testsuite/properties/property")
+        assert [(each.get("name"), each.get("value")) for each in suite] == [("suite", "S-1")]
+        of_cases = {}
+        for case in root.iter("testcase"):
+            pairs = [(each.get("name"), each.get("value")) for each in case.iter("property")]
+            of_cases[case.get("name")] = [each for each in pairs if "pafot" not in each[0]]
+        return of_cases
 
     saved = load(project.only_file)
-    one = [
-        ("requirement", "REQ-001"),
-        ("requirement", "REQ-001"),
-        ("speed", "22.0"),
-        ("speed", "22.0"),
-    ]
+    one = [("requirement", "REQ-001")] * 2 + [("speed", "22.0")] * 2
     names = ["test_it[search]", f"test_it[saved-{saved.id}]"]
     assert recorded() == dict.fromkeys(names, one)
     project.run(*arguments, runs=0)
     assert recorded()[names[1]] == one  # and not those of the run of the reference, which came last
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-def test_folder_in_place_of_record_file_is_named(failing):
-    (failing.path / "taken").mkdir()
-    result = failing.run("--pafot-json=taken")
-    told = "Rename or delete the folder that has this name, or name another file"
-    result.stdout.fnmatch_lines(
-        [f"  problem: --pafot-json=taken: the file was not written: *. {told}"]
-    )
 
 
 @pytest.fixture
@@ -306,10 +257,18 @@ def summary(project, monkeypatch):
     return path
 
 
-def test_the_summary_of_a_job_is_appended_to(summary, failing):
+def test_the_summary_of_a_job_is_appended_to_if_it_can_be_written(summary, failing, monkeypatch):
     recorded(failing)
-    assert summary.read_text().startswith("before\n### pafot: 1 new\n\n1 search, ")
+    assert summary.read_text().startswith("before\n### pafot: 1 new\n")
     assert f"<br>`python -m pytest {failing.files[0]}`\n" in summary.read_text()
+    failing.forget()
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(failing.path / "none" / "summary.md"))
+    (failing.path / "taken").mkdir()
+    result = failing.run("--pafot-json=taken")
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines_random(
+        ["  problem: GITHUB_STEP_SUMMARY=*", "  problem: --pafot-json=taken: *"]
+    )
 
 
 def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(
@@ -331,34 +290,20 @@ def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(
         command, text = re.fullmatch(
             r"::error file=test_50%25%2Cx\.py,title=[a-z0-9-]+::(.*?)%0A(.*)", line
         ).groups()
-        assert command.startswith("The ego hit NPC ")
+        assert command
         assert text.count("%0A") >= 1  # the sentences
         assert text.replace("%0A", "").replace("%25", "").count("%") == 0
-        assert "responsible" in text
-    assert (
-        lines[5]
-        == "::notice title=pafot::2 more findings: see out.html among the files of this job"
-    )
-    told = summary.read_text()
-    assert told.count("\n- `test_50%,x.py::test_") == 5
-    assert "- ... and 2 more: see `out.html` among the files of this job" in told
+    assert lines[5].startswith("::notice title=pafot::2 ")
+    assert summary.read_text().count("\n- `test_50%,x.py::test_") == 5
 
     project.forget()
     result = project.run("-k", "test_b")
     (line,) = [line for line in result.outlines if line.startswith("::")]
-    assert re.search(r"::The policy failed after \d\.\d s: ValueError: 50 %25 done", line)
+    assert re.search(r"::.* s: ValueError: 50 %25", line)
     assert not any(
         each.startswith("::warning")
         for each in [*result.outlines, *summary.read_text().splitlines()]
     )
-
-
-def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypatch):
-    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "none" / "summary.md"))
-    result = failing.run("--pafot-json=pafot.json")
-    result.assert_outcomes(failed=2)
-    told = "the summary was not written: No such file or directory. Create the missing folder, or name another file"
-    result.stdout.fnmatch_lines([f"  problem: GITHUB_STEP_SUMMARY=*summary.md: {told}"])
 
 
 def test_second_interrupt_leaves_the_code_of_the_first():
@@ -378,13 +323,7 @@ def test_what_is_left_to_shrink_of_a_new_finding_is_still_known_after_its_replay
         add_event(session, sighting("a", node_id="a", **seen), "t.py::t[search]")
         return session.seen["a"].unshrunk
 
-    assert (
-        left(unshrunk="it was not confirmed, because the time ran out")
-        == "it was not confirmed, because the time ran out"
-    )
+    assert left(unshrunk="not confirmed") == "not confirmed"
     assert left() == ""  # it was confirmed
-    assert (
-        left(unshrunk="it was not simplified, because the time ran out")
-        == "it was not simplified, because the time ran out"
-    )
-    assert left(label="still failing") == "it was not simplified, because the time ran out"
+    assert left(unshrunk="not simplified") == "not simplified"
+    assert left(label="still failing") == "not simplified"

@@ -1,7 +1,5 @@
 """Sessions that divide the tests of a project replay each saved scenario once, and none of them misses a test."""
 
-import json
-
 import pytest
 
 SEARCHES = """
@@ -38,10 +36,10 @@ def replayed(project, *sessions, plugins=("pytest-split",)):
     counts = {}
     for args in sessions:
         result = project.run("--pafot-json=pafot.json", *args, runs=0, plugins=plugins)
-        record = json.loads((project.path / "pafot.json").read_text())
-        files = [finding["file"] for finding in record["findings"]]
-        assert (result.ret, record["problems"]) == (0, [])
-        assert not any(orphan["is_gone"] for orphan in record["orphans"])
+        record = project.record
+        files = [finding.file for finding in record.findings]
+        assert (result.ret, record.problems) == (0, [])
+        assert not any(orphan.is_gone for orphan in record.orphans)
         assert result.parseoutcomes()["passed"] == len(files) > 0  # The searches are skipped.
         counts |= {file: counts.get(file, 0) + 1 for file in files}
     return counts

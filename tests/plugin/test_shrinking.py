@@ -1,6 +1,5 @@
 """After a search, findings are confirmed, shrunk and limited, and none is lost."""
 
-import json
 from types import SimpleNamespace
 
 import pytest
@@ -29,6 +28,7 @@ from pytest_pafot.searches.refine.simplest import (
 from pytest_pafot.support.text import capitalised
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
+from tests.plugin.conftest import labels
 from tests.plugin.test_progress import ON_A_TERMINAL
 
 COLLIDES = """
@@ -69,11 +69,9 @@ def run(project, *args, **kwargs):
 def test_shrunk_finding_is_announced_once_and_nothing_is_left_to_shrink(collides):
     result = run(collides)
     result.assert_outcomes(failed=2)
-    result.stdout.no_fnmatch_line("*before * simplified*")
-    lines = result.stdout.str().splitlines()
-    assert [line for line in lines if line.startswith("pafot: found ")] == [
-        f"pafot: found a collision: test_it.py::test_collides[saved-{collides.only_id}]"
-    ]
+    result.stdout.no_fnmatch_line("*note:*")
+    (line,) = [line for line in result.outlines if line.startswith("pafot: found ")]
+    assert line.endswith(f": test_it.py::test_collides[saved-{collides.only_id}]")
 
 
 def test_shrunk_file_retains_name_and_size_as_found(collides):
@@ -89,18 +87,6 @@ def test_shrunk_file_retains_name_and_size_as_found(collides):
     assert sort_key(finding.scenario) < sort_key(as_found.scenario)
     assert finding.shrunk.is_minimal
     assert 0 < finding.shrunk.rollouts <= 300
-
-
-def test_report_shows_shrunk_run_and_both_sizes(collides):
-    result = run(collides, "-v")
-    finding = load(collides.only_file)
-    result.stdout.fnmatch_lines(
-        [
-            f"run = <Run collision after *, scenario {finding.scenario.id}>",
-            "It was simplified from 2 NPCs, 4 instructions* to 1 NPC, *",
-            "  * run*, * more to analyse failures and * took * s.",
-        ]
-    )
 
 
 def test_existing_shrunk_file_is_no_new_finding(collides):
@@ -124,27 +110,18 @@ def test_interrupted(run):
 """
 
 
-@pytest.mark.parametrize(("save", "how"), [
-    ("new", "Delete the new files, and search again with --pafot-seed=2"), ("none", "Search again with --pafot-seed=2"),
-])  # fmt: skip
+@pytest.mark.parametrize("save", ["new", "none"])
 @pytest.mark.parametrize("limit", [2, 4])
-def test_interrupted_search_loses_nothing_and_says_how_to_shrink_later(project, save, how, limit):
+def test_interrupted_search_loses_nothing_and_says_how_to_shrink_later(project, save, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
     project.write(source.replace("# stop_after=1" if limit == 2 else "", ""))
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
-    told = f"  note: the search ended before 1 new finding was simplified. {how}"
     result.stdout.fnmatch_lines(
-        [
-            "pafot: found a failed *test_interrupted*",
-            "  The search ended early, *, because it was interrupted.",
-            told,
-        ]
+        ["pafot: found *", "  note: * --pafot-seed=2", "*KeyboardInterrupt*"]
     )
-    result.stdout.fnmatch_lines(["*KeyboardInterrupt*"])
     if save == "new":
-        result.stdout.fnmatch_lines(
-            [f"FAILED test_it.py::test_interrupted[[]saved-{project.only_id}[]]*"]
-        )
+        name = f"FAILED test_it.py::test_interrupted[saved-{project.only_id}]"
+        assert name in result.stdout.str()
         assert load(project.only_file).shrunk is None
 
 
@@ -155,8 +132,7 @@ def test_process_death_while_shrinking_preserves_the_finding(project):
     project.write(
         "@pafot.search(SHORT)\ndef test_interrupted(run):\n    assert run.scenario.id == ''\n"
     )
-    result = run(project, "--pafot-stop-after=1")
-    result.stdout.fnmatch_lines(["*a process (pid *) died while it ran *"])
+    assert "(pid " in run(project, "--pafot-stop-after=1").stdout.str()
 
 
 def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
@@ -168,12 +144,10 @@ def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
     project.write(
         "@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n"
     )
-    result = run(project, "--pafot-json=out.json", "--pafot-report=page.html")
+    result = run(project, "--pafot-json=pafot.json", "--pafot-report=page.html")
     result.assert_outcomes(failed=2)
-    told = "it was not simplified, because the time ran out"
-    result.stdout.fnmatch_lines([f"{capitalised(told)}."])
-    (finding,) = json.loads((project.path / "out.json").read_text())["findings"]
-    assert finding["unshrunk"] == told
+    told = project.record.findings[0].unshrunk
+    assert f"{capitalised(told)}." in result.outlines
     assert f"new ({told})" in (project.path / "page.html").read_text()
     assert load(project.only_file).shrunk is None
 
@@ -186,26 +160,20 @@ def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monk
 
     def session(*options):
         project.forget()
-        result = project.run_once("--pafot-json=out.json", *options, runs=2)
-        (search,) = json.loads((project.path / "out.json").read_text())["searches"]
-        asked = [search["decisions"][what] for what in ("search", "confirm", "shrink", "moment")]
-        return (
-            asked[0],
-            sum(asked[1:]),
-            project.contents,
-            "*note: simplifying stopped at its limit.*",
-            result,
-        )
+        project.run_once("--pafot-json=pafot.json", *options, runs=2)
+        (search,) = project.record.searches
+        asked = [search.decisions[what] for what in ("search", "confirm", "shrink", "moment")]
+        is_limited = any("--pafot-shrink-runs=N" in note for note in search.notes)
+        return asked[0], sum(asked[1:]), project.contents, is_limited
 
-    first, refining, files, note, result = session()
+    first, refining, files, is_limited = session()
     # and what confirms the finding, before its simplification
     assert 0 < refining <= max(first, 300) + 300
-    result.stdout.fnmatch_lines([note])
     assert session("--pafot-workers=2")[1:3] == (refining, files)
-    first, refining, other, note, result = session("--pafot-shrink-runs=300")
+    first, refining, other, is_later_limited = session("--pafot-shrink-runs=300")
     assert refining > 2 * first
     assert other != files
-    result.stdout.no_fnmatch_line(note)
+    assert (is_limited, is_later_limited) == (True, False)
 
 
 def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
@@ -218,23 +186,13 @@ def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
     def holds(run):
         assert len(run.scenario.npcs) < 6 or min(map(len, run.scenario.npcs)) < 2
 
+    space = {"npcs": 6, "ego_lane": 1, "genes": 3, "gene_seconds": 2}
     result = pafot.explore(
-        constant_speed.make,
-        holds=holds,
-        npcs=6,
-        ego_lane=1,
-        genes=3,
-        gene_seconds=2,
-        runs=2,
-        shrink_runs=400,
-        seed=1,
+        constant_speed.make, holds=holds, runs=2, shrink_runs=400, seed=1, **space
     )
     (finding,) = result.findings
-    assert (len(finding.scenario.npcs), finding.scenario.ego_lane, finding.scenario.genes) == (
-        6,
-        1,
-        2,
-    )
+    scenario = finding.scenario
+    assert (len(scenario.npcs), scenario.ego_lane, scenario.genes) == (6, 1, 2)
 
 
 def rollouts_without_an_option(ads):
@@ -250,13 +208,10 @@ def test_vehicle_class_in_the_kernel_gets_more_rollouts():
         def act(self, action=None):
             self.action = {"steering": 0.0, "acceleration": 0.0}
 
-    assert (
-        rollouts_without_an_option(IDMVehicle)
-        == rollouts_without_an_option(Near)
-        == ROLLOUTS_IN_KERNEL
-    )
-    assert rollouts_without_an_option(Coasts) == ROLLOUTS
-    assert rollouts_without_an_option(lambda: lambda observation: (0.0, 0.0)) == ROLLOUTS
+    in_kernel = {rollouts_without_an_option(ads) for ads in (IDMVehicle, Near)}
+    others = (Coasts, lambda: lambda observation: (0.0, 0.0))
+    assert in_kernel == {ROLLOUTS_IN_KERNEL}
+    assert {rollouts_without_an_option(ads) for ads in others} == {ROLLOUTS}
 
 
 def test_unrepeatable_finding_is_flaky_and_not_shrunk(project):
@@ -272,44 +227,11 @@ def flaky():
 def test_brakes(run):
     assert run.hardest_brake < 1
 """)
-    result = run(project)
-    result.stdout.fnmatch_lines([
-        "Flaky: running it again gave a different run: speed of the ego differs by 0.2 m/s after 0.0667 s. The policy "
-        "had decided differently. It fails in 5 of 10 runs.",
-        "The policy probably has its own random generator. Seed it in the factory of the policy, or * predict(..., "
-        "deterministic=True)).",
-        "  hardest-brake-*: 1 run (new, flaky).",
-    ])  # fmt: skip
+    run(project).stdout.fnmatch_lines(["Flaky: * 5 of 10 runs.", "  hardest-brake-*(new, flaky)."])
     finding = load(project.only_file)
-    assert finding.flaky.startswith(
-        "running it again gave a different run: speed of the ego differs by 0.2 m/s"
-    )
+    assert "speed of the ego differs by 0.2 m/s" in finding.flaky
     assert finding.rate == FailureRate(failing=5)
     assert finding.shrunk is None
-
-
-def test_unrepeatable_finding_in_wrappers_may_be_by_them(project):
-    project.write("""
-import itertools
-from gymnasium.wrappers import TransformAction
-
-calls = itertools.count()
-
-def drawing(env):
-    action = 3 if next(calls) % 2 else 1
-    return TransformAction(env, lambda _: action, env.action_space)
-
-WORLD = pafot.World("highway-v0", duration=2.0, wrappers=[drawing])
-
-@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, shrink_runs=0)  # stop_after=1
-def test_drives(run):
-    assert run.ego.speed.mean() < 1
-""")
-    run(project).stdout.fnmatch_lines(
-        [
-            "The policy or a wrapper probably has its own random generator. In a wrapper, draw from self.np_random*"
-        ]
-    )
 
 
 def test_a_flaky_file_that_passes_is_called_flaky(collides):
@@ -318,7 +240,8 @@ def test_a_flaky_file_that_passes_is_called_flaky(collides):
     file.write_text(file.read_text().replace("# xfail", 'flaky: "in highway-env: safe"\n# xfail'))
     collides.write(COLLIDES.replace("assert not run.collision", "pass"))
     result = run(collides, "-v", runs=0)
-    result.stdout.fnmatch_lines(["*PASSED (flaky)*", "replayed 1 saved scenario: 1 flaky"])
+    assert "PASSED (flaky)" in result.stdout.str()
+    assert labels(result) == "1 flaky"
 
 
 IMPATIENT = """

@@ -96,8 +96,6 @@ def test_close_that_raises_stays_a_warning_where_warnings_are_errors(project, op
     )
     assert result.ret == 0
     assert (len(made), closed) == (3 if options else 1, made)
-    result.stdout.fnmatch_lines(
-        ["*RuntimeWarning: Placing.close: expected no exception, received OSError: no*"]
-    )
+    result.stdout.fnmatch_lines(["*RuntimeWarning: Placing.close: *OSError: no*"])
     result.assert_outcomes(passed=1, warnings=len(made))
     assert 'errors="0"' in (project.path / "results.xml").read_text("utf-8")

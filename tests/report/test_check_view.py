@@ -81,45 +81,27 @@ def test_single_number_and_values_of_unknown_ticks_have_no_curve():
 
 
 def test_article_starts_with_check_value_bound_and_moment():
-    article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0).replace(
-        "\u00a0", " "
-    )
-    headline = "The check fails from 4.1 s: jerk = 35.1 &gt; 20 m/s^3<"
-    assert article.index(headline) < article.index('class="player"') < article.index("<footer>")
-    assert article.partition('class="yaml"')[0].count("35.1") == 1
+    article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0)
+    head, player, rest = article.replace("\u00a0", " ").partition('class="player"')
+    assert player
+    assert "4.1 s: jerk = 35.1 &gt; 20 m/s^3<" in head
+    assert rest.partition('class="yaml"')[0].count("35.1") == 0
     assert "failed check" not in article  # each fact once
-    assert "No collision in 20.0 s." in article[article.index("What happened") :]
-
-
-def test_a_single_number_fails_at_its_moment_and_an_npc_is_named():
-    named = shown(35.1, at_most=20, at=4.2, npc=0)
-    assert named.headline == "The check fails at 4.2 s: jerk = 35.1 > 20 m/s^3 (NPC 0)"
-    assert shown(35.1, at_most=20).headline == "The check fails: jerk = 35.1 > 20 m/s^3"
 
 
 def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_checks():
     trace = cut_in_trace()
     check, collided = checked(3.0, trace.ticks, at_most=2.5), view_of(trace)
     view = view_of(trace, finding_of(trace), check=check, headline=str(check))
-    assert collided.deed.startswith("The ego drove at ")
-    assert view.deed == collided.deed
+    assert view.deed == collided.deed != ""
     assert view.sentences == ()
-    assert view.besides.startswith(
-        "There was also a collision in this run. The ego hit NPC 0 from behind after "
-    )
-    assert view.besides.endswith("; both at fault.")
-    title, words, _ = view.happened[0]
-    assert title == "The collision"
-    assert words.startswith(
-        "The ego hit NPC 0 from behind after 14.3 s, closing at 8.2 m/s (ego 22.0 m/s, NPC 13.8 m/s). "
-    )
-    assert words.endswith(" ".join(collided.sentences))
+    assert view.happened[0][1].endswith(" ".join(collided.sentences))
     article = finding_article(view, 0).replace("\u00a0", " ")
     # red, as a collision's
     assert f'{view.besides} <span class="deed">{collided.deed}</span></p>' in article
     assert article.count("deed") == 1
-    assert article.index("</h2>") < article.index(view.besides) < article.index('class="player"')
-    assert article.index('class="player"') < article.index("The collision.")
+    places = ("</h2>", view.besides, 'class="player"', view.happened[0][0])
+    assert sorted(places, key=article.index) == [*places]
     assert "for the collision" not in article
 
 
@@ -131,13 +113,12 @@ def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it
     view = view_of(trace, finding_of(trace), check=check, headline=str(check))
     least = np.nanmin([npc.ttc if name == "min_ttc" else npc.gap for npc in run.npcs], axis=0)
     begin = np.flatnonzero(least < bound)[0] / 15
-    assert view.headline.startswith(f"The check fails from {begin:.1f} s: room = ")
+    assert f" {begin:.1f} s: room = " in view.headline
     assert (view.check.begin, view.check.time) == (round(begin, 3), round(least.argmin() / 15, 3))
     assert len(view.check.values) == len(view.times)
     other = view_of(trace, finding_of(trace), check=replace(check, value=1.2), headline="x")
     assert (other.check.values, other.check.time) == ((), None)
-    # which its headline does not say
-    assert other.sentences[0] == f"The check fails: room = 1.2 < 1.5 {unit}."
+    assert f"room = 1.2 < 1.5 {unit}" in other.sentences[0]  # which its headline does not say
 
 
 @pytest.mark.parametrize("at", [1.0, None])
@@ -150,23 +131,13 @@ def test_a_least_value_whose_time_the_user_gives_keeps_that_time_and_has_no_othe
     )
 
 
-@table(("values", "sentence"), [
-    (peaks(t30=21), ()),
-    (peaks(t30=21, t45=35, t46=1), ("The value is worst at 3.0 s and the bound is broken 2 times, until 3.0 s.",)),
-    (np.linspace(0.0, 30.0, TICKS + 1), ("The value is worst at 20.0 s.",)),
-    (np.linspace(30.0, 0.0, TICKS + 1), ("The bound is broken until 6.6 s.",)),
-])  # fmt: skip
-def test_sentences_on_a_check_say_when_it_is_worst_and_until_when_it_is_broken(values, sentence):
-    assert shown(values, at_most=20).sentences == sentence
-
-
 def test_list_calls_it_failed_check_and_the_article_alone_blames_for_a_collision():
     view = shown(peaks(t61=35.1), at_most=20)
     listed = finding_list([view, as_seen(view, finding={"id": "other"})])
-    assert '<p class="summary">\u25b2 2 failed checks</p>' in listed
+    assert "2 failed checks" in listed
     assert "at fault" not in listed
     view = as_seen(
         view, finding={"expect": replace(view.seen.finding.expect, responsibility="npc")}
     )
-    assert '<p class="summary">\u25b2 1 failed check</p>' in finding_list([view])
-    assert "<li>NPC at fault for the collision</li>" in finding_article(view, 0)
+    assert "1 failed check<" in finding_list([view])
+    assert "<li>NPC " in finding_article(view, 0)

@@ -2,15 +2,11 @@
 
 import re
 from collections import Counter
-from dataclasses import replace
-from datetime import date
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.verdict import Severity
-from pytest_pafot.report.session import ADVICE
 from pytest_pafot.report.session_record import MAX_LISTED, markdown
 from pytest_pafot.searches.events import Ending, Search
 from pytest_pafot.support.text import code, plain
@@ -49,15 +45,6 @@ def test_unrelated_session_has_no_job_summary():
     assert told(exit=1) == ""
 
 
-def test_findings_are_counted_and_listed_with_replay_command(snapshot):
-    seen = [
-        finding("c", "fixed", headline="", searched=40),
-        finding("b", "still failing"),
-        finding(),
-    ]
-    assert told(*seen, searches=[search(finds=(seen[2],))]) == snapshot
-
-
 def hits(speed):
     return Severity(kind="collision", value=speed, unit="m/s")
 
@@ -77,68 +64,21 @@ def test_worst_finding_comes_first_in_each_group():
     for some, order in (([*findings[:4], *findings[5:]], "bdacf"), (findings[1:], "ebdcf")):
         text = told(*some)
         assert "".join(re.findall(r"corpus/(\w)\.pafot", text)) == order
-    assert "collision after 5.4 s; the reference also fails; " in text
-    assert "; it became worse: it hits at 12.1 m/s instead of 8.0\n" in text
-
-
-def test_job_summary_without_findings_has_two_lines(snapshot):
-    assert told(searches=[search()]) == snapshot
-
-
-def test_accepted_finding_comes_with_reason_and_last_day():
-    text = told(
-        finding(label="accepted", finding={"xfail": "issue 12", "xfail_until": date(2027, 1, 31)})
-    )
-    assert text.startswith(
-        "### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n"
-    )
-    assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
-
-
-def test_unsaved_finding_comes_with_its_search_command():
-    text = told(finding(path="", detail="--pafot-save=none"), searches=[search()])
-    again = "python -m pytest 'test_it.py::x[search]' --pafot-runs=40 --pafot-seed=5"
-    assert f"  <br>not saved: --pafot-save=none; `{again}`\n" in text
 
 
 def test_long_lists_are_cut():
     fixed = [finding(f"f{number}", "fixed", headline="") for number in range(MAX_LISTED + 5)]
-    lines = told(*fixed).splitlines()
+    *lines, last = told(*fixed).splitlines()
     assert sum(line.startswith("- `") for line in lines) == MAX_LISTED
-    assert lines[-1] == "- ... and 5 more: see `python -m pytest_pafot corpus list`"
-    assert lines[0] == f"### pafot: nothing new, {MAX_LISTED + 5} passed (not found again)"
+    assert last.startswith("- ... and 5 more: ")
 
 
-def test_five_failures_of_all_lists_are_told_whole_and_the_others_counted(snapshot):
+def test_five_failures_of_all_lists_are_told_whole():
     new = [finding(str(number)) for number in range(3)]
     known = [finding(f"k{number}", "still failing") for number in range(4)]
     text = told(*new, *known, finding("c", "drifted"), page="report.html")
-    assert text == snapshot
     assert text.count("\n- `") == 5
-
-
-def test_a_failure_comes_with_its_sentences_and_the_decision(snapshot):
-    sentences = ("NPC 0 braked at up to 8.0 m/s^2.", "The ego is responsible.")
-    moment = Moment(time=4.2, npc=0, seen="9.9 m ahead", action="acceleration 0.3 m/s^2")
-    assert (
-        told(finding("a", sentences=sentences, moment=moment), finding("b", moment=moment))
-        == snapshot
-    )
-
-
-def test_job_summary_says_how_many_random_scenarios_failed():
-    one = search(random=Counter(runs=20, at_fault=1, otherwise=15, checks=14))
-    other = replace(search(random=Counter(runs=19, at_fault=2)), node_id="y[search]")
-    assert told(searches=[one, other]).splitlines()[3:] == ["18 of 39 random scenarios failed."]
-
-
-def test_job_summary_reports_search_failures_and_problems(snapshot):
-    reasons = {"test_it.py::x[search]": "the search tested too little: 40 runs, rejected"}
-    results, left = dict.fromkeys(reasons, "failed"), ["c/t/x/a.yaml", "c/t/x/b.yaml"]
-    more = {"warnings": ["a: over"], "problems": ["no space"], "left": left}
-    text = told(searches=[search()], reasons=reasons, results=results, **more)
-    assert text == snapshot
-    assert f"- `c/t/x`: {plain(ADVICE)}\n" in text
+    assert told(searches=[search()]).count("\n") == 3
 
 
 @table(("text", "expected"), [

@@ -22,7 +22,6 @@ from pytest_pafot.report.page import (
     finding_article,
     finding_list,
 )
-from pytest_pafot.searches.events import Ending, Search
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import (
@@ -115,7 +114,6 @@ def test_everything_in_words_is_there_without_scripts(page):
         ):
             assert part in words
     assert "45 none, 3 ego, 2 npc" in words
-    assert any(f"{who} at fault" in words for who in ("ego", "both"))
 
 
 def test_page_data_have_what_the_scripts_read_and_nothing_else(page):
@@ -163,11 +161,10 @@ def test_view_with_nan_or_infinity_is_refused():
         page_of(finding.changed(times=(float("nan"),)))
 
 
-def test_an_empty_report_says_that_nothing_was_found_in_below_100_kilobytes():
+def test_an_empty_report_takes_below_100_kilobytes_and_has_no_searches():
     page = page_of()
     assert len(page.encode()) < 100_000
-    assert "No findings" in page
-    assert "Searches" not in " ".join(Reader(page).words)
+    assert "Searches" not in Reader(page).words
 
 
 def test_minute_with_two_npcs_takes_below_65_kilobytes():
@@ -192,19 +189,13 @@ def test_no_text_ends_the_script_element_of_the_data(text):
 
 
 def test_conditions_stand_below_the_vehicle_that_they_are_about():
-    groups = (("NPC 0", ("line 1: a < b  (a = 1)", "line 2")), ("", ("line 3",)))
-    finding = real_views()[0].changed(moment=(("The moment", "At 3 s.", groups),))
+    groups = (("NPC 0", ("line 1: a < b", "line 2")), ("", ("line 3",)))
+    finding = real_views()[0].changed(moment=(("Title", "Text.", groups),))
     article = finding_article(finding, 0)
-    assert (
-        article.index('<p class="sentence deed">')
-        < article.index("The moment")
-        < article.index('class="player"')
-    )
-    assert (
-        "<b>The moment.</b> At 3\u00a0s.</p>"
-        "<h4>NPC 0</h4><ul><li><code>line 1: a &lt; b  (a = 1)</code></li><li><code>line 2</code></li></ul>"
-        "<ul><li><code>line 3</code></li></ul>"
-    ) in article
+    places = ('<p class="sentence deed">', "Title", "NPC 0</h4>", 'class="player"')
+    assert sorted(places, key=article.index) == [*places]
+    rows = [f"<li><code>{row}</code></li>" for row in ("line 1: a &lt; b", "line 2", "line 3")]
+    assert f"<h4>NPC 0</h4><ul>{rows[0]}{rows[1]}</ul><ul>{rows[2]}</ul>" in article
 
 
 def test_an_error_of_the_policy_is_the_egos():
@@ -219,19 +210,5 @@ def test_an_error_of_the_policy_is_the_egos():
     expect = replace(finding.expect, traceback=error.traceback)
     view = view_of(trace, replace(finding, expect=expect), headline="ValueError: no plan")
     assert view.moment == (("The traceback", "", (("", ("  line 3", "ValueError: no plan")),)),)
-    assert view.headline == f"The policy failed after {view.event.time:.1f} s: ValueError: no plan"
+    assert f" {view.event.time:.1f} s: ValueError: no plan" in view.headline
     assert "1 policy error" in finding_list([view])
-
-
-def test_page_shows_errors_without_a_finding():
-    failed = Search(node_id="t.py::test_c[search]", reason=Ending.ERROR)
-    failures = {
-        ("t.py::test_c[search]", "call"): "E   ValueError: no <plan>",
-        ("t.py::test_d", "setup"): "x",
-    }
-    page = page_of(searches=(failed,), failures=failures)
-    assert (
-        "<p>The search ended with an error.</p><pre>E   ValueError: no &lt;plan&gt;</pre>" in page
-    )
-    assert "It failed, but no finding on this page explains why." in page
-    assert "No findings, but an error ended a test or a search early." in page

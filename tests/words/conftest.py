@@ -36,7 +36,7 @@ CHANGES = [
     (r"^[E ]*[ ~^]*[~^]{2}[ ~^]*\n", ""),
     (r"ROOT/pytest_pafot/\S+\.py:\d+", "ROOT/pytest_pafot/MODULE.py:LINE"),
     (r"^( +ROOT/pytest_pafot/MODULE.py:LINE: .*Warning: .*\n) +.*\n", r"\1"),
-    (r'^ *File "[^"]*pytest_pafot/[^"]*", line \d+, in .*\n( {4,}.*\n)?', ""),
+    (r'^[E ]*File "[^"]*(pytest_pafot|site-packages)/[^"]*", line \d+, in .*\n([E ] {3,}.*\n)?', ""),
 ]  # fmt: skip
 """Regular expressions for what differs between machines, and what replaces it."""
 
