@@ -26,7 +26,7 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome, Side
 from pytest_pafot.oracle.run import Check, CheckFailed, Run
 
-# The metadata of fields that are not stored (see :mod:`pytest_pafot.algorithms.plain`).
+# The metadata of fields that are not stored (see :mod:`pytest_pafot.report.messages`).
 IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
 
 MAX_ASSERTION = 200

@@ -198,10 +198,7 @@ class Guard:
         """
         inventory, top = self._config.stash[INVENTORY], self._config.rootpath
         # First, skip the saved scenarios that were run, newly found, or deselected by name.
-        known = set(self._run)
-        for seen in self._session.seen.values():
-            if seen.is_new:  # It is reported later.
-                known.add(seen.path)
+        known = set(self._run) | self._session.new_files
         if any(map(_BY_NAME.match, call_of(self._config))):
             known |= inventory.deselected
         corpus = Path(value_if_right(self._config, "corpus") or CORPUS)

@@ -18,7 +18,6 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
-from pytest_pafot.algorithms.plain import plain
 from pytest_pafot.attribution.sentences import ALSO
 from pytest_pafot.corpus.layout import (
     chosen_folder,
@@ -44,6 +43,7 @@ from pytest_pafot.plugin.collection import (
 )
 from pytest_pafot.plugin.reporter import LiveTerminal
 from pytest_pafot.plugin.session import AS_SAVED, PHASE, SHARED, is_worker, report_on
+from pytest_pafot.report.messages import plain
 from pytest_pafot.searches.events import Note
 from pytest_pafot.searches.harness import (
     Harness,
@@ -65,7 +65,7 @@ from pytest_pafot.world.driving.policy import Policy
 if TYPE_CHECKING:
     from pytest_pafot.execution.runner import Cluster
     from pytest_pafot.model.trace import Trace
-    from pytest_pafot.report.terminal import Event
+    from pytest_pafot.report.messages import Event
 
 
 def packed(value: object) -> str:

@@ -381,11 +381,11 @@ class Reporter:
             terminalreporter.line(ascii_text(line))
 
     def _take(self, report: pytest.TestReport, kind: str, text: str, more: dict[str, Any]) -> None:
-        from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
-        from pytest_pafot.report import terminal  # noqa: PLC0415
+        from pytest_pafot.findings.sighting import Discovery, Seen  # noqa: PLC0415
+        from pytest_pafot.report import messages, terminal  # noqa: PLC0415
         from pytest_pafot.searches.events import Progress, Search  # noqa: PLC0415
 
-        record, event = self._record, terminal.event_of(kind, text)
+        record, event = self._record, messages.event_of(kind, text)
         is_known = isinstance(event, Seen) and event.node_id in record.seen
         terminal.add_event(record, event, report.nodeid, more.get("view", ""))
         match event:
@@ -402,7 +402,7 @@ class Reporter:
                 # A log keeps every line, and simplifying a finding takes hundreds of runs.
                 if self._live.rewrites or not event.phase:
                     self._live.show_progress(partial(terminal.progress_line, event))
-            case Seen() if event.label == "new":
+            case Seen(observed=Discovery(label="new")):
                 self._files.write_json()
                 if event.node_id not in self._expanded:
                     node = getattr(report, "node", None)
@@ -411,7 +411,7 @@ class Reporter:
                 self._live.erase_progress()
                 if not is_known and self._config.get_verbosity() >= 0:
                     self._live.write([terminal.found_line(event)])
-            case Seen() if event.label == "no worse":
+            case Seen(observed=Discovery(label="no worse")):
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
 
     def _expand(self, search_id: str) -> None:

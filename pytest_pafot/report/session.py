@@ -39,6 +39,7 @@ class Session:
         # page, as compressed JSON because each takes half a megabyte.
         self.seen: dict[str, Seen] = {}
         self.items: dict[str, str] = {}
+        self.new_files: set[str] = set()  # paths of the files of new findings
         self.views: dict[str, bytes] = {}
         # saved scenarios that could not be read or run
         self.unread: dict[str, Mapping[str, str]] = {}

@@ -5,14 +5,12 @@ Lines are ASCII and fit the width of the terminal, except for node ids, paths an
 
 from __future__ import annotations
 
-import json
 import os
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from pytest_pafot.algorithms.plain import from_plain
 from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
@@ -20,6 +18,7 @@ from pytest_pafot.findings.shrink import described
 from pytest_pafot.findings.sighting import NOT_REPEATED, Beyond, Seen
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.trace import SURVIVES, WORLD_HANG, Outcome
+from pytest_pafot.report.messages import Event
 from pytest_pafot.report.session import UNNAMED_ADVICE, Session
 from pytest_pafot.searches.events import (
     UNTESTED,
@@ -41,9 +40,6 @@ from pytest_pafot.support.text import (
     plural,
     wrapped_to,
 )
-
-Event = Progress | Search | Seen | Note
-"""An event that an item sends to the session's record."""
 
 WIDTH = 80
 MINUTE, HOUR = 60, 3600
@@ -77,13 +73,6 @@ DRAWS_IN_WRAPPERS = (
 )
 
 
-def event_of(kind: str, text: str) -> Event:
-    """Build an event from the name of its class and its JSON."""
-    kinds: tuple[type[Event], ...] = (Progress, Search, Seen, Note)
-    cls = next(each for each in kinds if each.__name__ == kind)
-    return from_plain(cls, json.loads(text))
-
-
 def add_event(session: Session, event: Event, item: str = "", view: str = "") -> None:
     """Add an event from an item to the record. ``view`` is a finding's data for the page, as JSON."""
     match event:
@@ -99,6 +88,8 @@ def add_event(session: Session, event: Event, item: str = "", view: str = "") ->
                 event = replace(event, unshrunk=earlier.unshrunk)
             session.seen[event.node_id] = event
             session.items[event.node_id] = item
+            if event.is_new:
+                session.new_files.add(event.path)
             if view:
                 session.views[event.node_id] = zlib.compress(view.encode(), level=1)
         case Note(kind="incomparable"):

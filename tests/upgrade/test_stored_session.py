@@ -27,7 +27,7 @@ BEFORE = json.loads((STORED / "replayed.json").read_text("utf-8"))
 def now(tmp_path_factory):
     """Replay the stored scenarios, and return the JSON file and the page of the session."""
     folder = tmp_path_factory.mktemp("upgrade")
-    shutil.copytree(STORED / "pafot_corpus", folder / "pafot_corpus")
+    shutil.copytree(STORED / "corpus", folder / "pafot_corpus")
     shutil.copy(STORED / "saved.py", folder / "test_saved.py")
     (folder / "pytest.ini").write_text("[pytest]\n")
     options = ["--pafot-runs=0", "--pafot-json=now.json", "--pafot-report=page.html"]

@@ -8,10 +8,10 @@ from pytest_pafot.algorithms import Health, PafotSearch, SearchSpace, resolve_al
 from pytest_pafot.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.algorithms.evaluation import LEAVING
 from pytest_pafot.algorithms.fitness import resolve
-from pytest_pafot.algorithms.plain import from_plain, plain
 from pytest_pafot.algorithms.plan import Plan
 from pytest_pafot.algorithms.space import sample
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.report.messages import from_plain, plain
 from tests.algorithms.conftest import _evaluation as evaluation
 from tests.algorithms.test_algorithms import NO_ALGORITHMS, out_of_turn
 from tests.algorithms.test_av_fuzzer import WRONG as OF_AV_FUZZER
@@ -19,10 +19,10 @@ from tests.algorithms.test_crossing_traffic import NO_START
 from tests.algorithms.test_fitness import NO_FITNESSES, NO_NUMBERS, broken, following
 from tests.algorithms.test_health_check import GOAL, health_of
 from tests.algorithms.test_pafot import WRONG as OF_PAFOT
-from tests.algorithms.test_plain import WRONG_DATA
 from tests.algorithms.test_space import EMPTY
 from tests.helpers.refusals import error_of
 from tests.helpers.searches import Fresh, run_plan
+from tests.report.test_messages import WRONG_DATA
 
 SPACES = [
     SearchSpace(),

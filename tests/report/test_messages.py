@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.algorithms.evaluation import Evaluation, Health
-from pytest_pafot.algorithms.plain import from_plain, plain
 from pytest_pafot.attribution.responsibility import Fault, Manoeuvre, Mistake, Responsibility
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.sighting import (
@@ -36,6 +35,7 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Collision, Outcome, Side
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.item import packed
+from pytest_pafot.report.messages import from_plain, plain
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError
 from tests.findings.builders import findings, plain_finding, tried

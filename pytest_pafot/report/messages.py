@@ -1,4 +1,4 @@
-"""Conversion of values to JSON-compatible data and back."""
+"""The messages that items send to the session's record: events as JSON-compatible data, and back."""
 
 from __future__ import annotations
 
@@ -17,12 +17,17 @@ from itertools import repeat
 from types import MappingProxyType
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import IN_MEMORY, Signature
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.searches.events import Note, Progress, Search
 from pytest_pafot.support.errors import FieldError
 
 T = TypeVar("T")
+
+Event = Progress | Search | Seen | Note
+"""An event that an item sends to the session's record."""
 
 # The type of a value decides how it is written: a frozen dataclass as the list of its fields, a mapping as the list of
 # its pairs, a set as a sorted list, and a number that JSON cannot express as a string. The reader specifies the type,
@@ -31,6 +36,13 @@ T = TypeVar("T")
 _AS_THEY_ARE = frozenset({type(None), bool, int, str})
 _PLAIN_ALREADY = Mapping[str, Any]
 _NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
+
+
+def event_of(kind: str, text: str) -> Event:
+    """Build an event from the name of its class and its JSON."""
+    kinds: tuple[type[Event], ...] = (Progress, Search, Seen, Note)
+    cls = next(each for each in kinds if each.__name__ == kind)
+    return from_plain(cls, json.loads(text))
 
 
 def plain(value: Any) -> Any:
@@ -164,7 +176,7 @@ def _read(kind: Any, data: Any) -> Any:
         pairs = _read_each(repeat(types.GenericAlias(tuple, (inner[0], int))), data)
         return Counter(dict(pairs))
     raise TypeError(
-        f"expected a type whose values can be stored, but received {kind!r}. See pytest_pafot.algorithms.plain."
+        f"expected a type whose values can be stored, but received {kind!r}. See pytest_pafot.report.messages."
     )
 
 
