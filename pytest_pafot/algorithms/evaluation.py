@@ -535,16 +535,12 @@ class Health:
         found = []
         if self.errors:
             (most, count), *_ = self.errors.most_common(1)
-            which = (
-                "The most frequent error"
-                if count > 1 or len(self.errors) == 1
-                else "One of the errors"
-            )
-            way_out = (
-                'Correct it, or write ends="duration" in the world.'
-                if " failed: " in most
-                else "Correct it."
-            )
+            which = "One of the errors"
+            if count > 1 or len(self.errors) == 1:
+                which = "The most frequent error"
+            way_out = "Correct it."
+            if " failed: " in most:
+                way_out = 'Correct it, or write ends="duration" in the world.'
             found.append(
                 f"{_percent(self.errors.total(), self.simulated, 'simulated scenario')} tested nothing. {which}: "
                 f"{most:.300}. {way_out}"

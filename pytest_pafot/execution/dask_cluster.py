@@ -139,7 +139,8 @@ class DaskPool:
             # A task that is announced twice runs once.
             if task in self._under_way or self.failure:
                 continue
-            # The content is large, so it is sent only until a worker has it. A worker without it returns None.
+            # The content is large, so it is sent only until a worker has it. A worker without it answers
+            # `NeedsContent`.
             parcel = self._parcel if not self._is_known else replace(self._parcel, content=None)
             named: Any = {
                 "key": f"pafot-{next(self._numbers)}-{self._parcel.digest}",

@@ -21,7 +21,7 @@ import pytest
 
 from pytest_pafot.execution import dask_cluster
 from pytest_pafot.execution.dask_cluster import DaskPool, packed, versions_here
-from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.pool import Done, Lost, RunItHere
 from pytest_pafot.execution.runner import ExecutionError, Job, runner_for
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
@@ -69,7 +69,7 @@ class InThisProcess:
 
     def fetch(self, scenario):
         ran.append(getattr(scenario, "scenario", scenario).seed)  # of a whole run, too
-        return self.work(scenario, None)
+        return Done(self.work(scenario, None))
 
 
 @pytest.fixture
@@ -100,14 +100,18 @@ def fetched(pool, scenarios=SCENARIOS):
     return [pool.fetch(each) for each in scenarios]
 
 
+def traces(answers):
+    return [answer.value.value for answer in answers]
+
+
 def numbers(answers):
-    return [trace.scenario.seed for trace, *_ in answers]
+    return [trace.scenario.seed for trace in traces(answers)]
 
 
 def test_runs_equal_local_runs_in_their_order(pool_of):
     answers = fetched(pool_of(Inline()))
     assert all(
-        np.array_equal(trace.states, trace_of(trace.scenario).states) for trace, *_ in answers
+        np.array_equal(trace.states, trace_of(trace.scenario).states) for trace in traces(answers)
     )
     assert numbers(answers) == list(range(48))
 
@@ -133,9 +137,9 @@ def test_a_task_or_connection_that_fails_is_tried_once_more(pool_of, error):
 def test_scenario_lost_twice_is_named_and_others_continue(pool_of):
     first, lost, last = fetched(pool_of(Inline(lost=(1, 3))), SCENARIOS[:3])
     assert numbers([first, last]) == [0, 2]
-    assert isinstance(lost, ProcessLostError)
-    assert lost.task == SCENARIOS[1]
-    assert str(lost).startswith("the worker that ran <Scenario ")
+    assert isinstance(lost, Lost)
+    assert lost.death.task == SCENARIOS[1]
+    assert str(lost.death).startswith("the worker that ran <Scenario ")
 
 
 @pytest.mark.parametrize("error", [OSError, CancelledError])
@@ -143,9 +147,9 @@ def test_cluster_whose_connections_or_tasks_fail_twice_is_not_used_again(pool_of
     executor = Inline(lost=range(1, 99), error=error)
     pool = pool_of(executor)
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [
-        tuple,
-        RuntimeError,
-        RuntimeError,
+        Done,
+        RunItHere,
+        RunItHere,
     ]
     fetched(pool, SCENARIOS[3:6])
     assert len(executor.sizes) == 4
@@ -164,7 +168,7 @@ def test_cluster_that_refuses_tasks_is_not_used_again(pool_of):
             return super().submit(run, task, **named)
 
     pool = pool_of(Closed())
-    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [RuntimeError] * 3
+    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [RunItHere] * 3
     assert pool.notes[0].endswith("the cluster failed: ClosedClientError: the client is closed")
 
 
@@ -203,15 +207,19 @@ def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
 class Unable(InThisProcess):
     def fetch(self, scenario):
         seed = getattr(scenario, "scenario", scenario).seed  # of a whole run
-        return LookupError("my-env-v0 is not registered") if seed else super().fetch(scenario)
+        return (
+            RunItHere(LookupError("my-env-v0 is not registered"))
+            if seed
+            else super().fetch(scenario)
+        )
 
 
 def test_runs_impossible_on_workers_happen_in_the_session(pool_of):
     pool = pool_of(Inline(), worker=Unable)
     assert [type(each) for each in fetched(pool, SCENARIOS[:3])] == [
-        tuple,
-        LookupError,
-        LookupError,
+        Done,
+        RunItHere,
+        RunItHere,
     ]
     (note,) = pool.notes
     assert "a worker raised LookupError: my-env-v0 is not registered" in note
@@ -297,9 +305,9 @@ def test_hanging_or_dying_run_leaves_its_worker_alive(tmp_path):
         first, hangs, dies = fetched(
             DaskPool(Submitting(executor), job_of(tmp_path, lambda: drive, world)), runs
         )
-    assert (first[0].outcome, hangs[0].outcome) == (Outcome.COMPLETED, Outcome.HANG)
-    assert isinstance(dies, ProcessLostError)
-    assert dies.end == "ended with exit code 9"
+    assert [trace.outcome for trace in traces([first, hangs])] == [Outcome.COMPLETED, Outcome.HANG]
+    assert isinstance(dies, Lost)
+    assert dies.death.end == "ended with exit code 9"
     # and with it the only end of a pipe for which the process waits
     dask_cluster._kept.cache_clear()
     for process in multiprocessing.active_children():

@@ -45,7 +45,6 @@ def ads():
 
 SPAWNS = """
 import pytest_pafot.execution.runner
-from tests.plugin.test_against import compared
 
 pytest_pafot.execution.runner.METHOD = "spawn"
 """

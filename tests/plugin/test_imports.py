@@ -77,7 +77,9 @@ atexit.register(dump)
     names = set(json.loads((project.path / "modules.json").read_text()))
     assert "hypothesis" not in names
     own = {name for name in names if name.startswith("pytest_pafot.report")}
-    assert own == {f"pytest_pafot.report{each}" for each in ("", ".session", ".terminal")}
+    assert own == {
+        f"pytest_pafot.report{each}" for each in ("", ".messages", ".session", ".terminal")
+    }
     assert "pytest_pafot.report.views" not in names
 
 

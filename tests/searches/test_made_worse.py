@@ -75,10 +75,10 @@ def test_what_the_random_scenarios_cannot_decide_counts(monkeypatch):
 
 
 def test_what_no_time_is_left_to_decide_counts(monkeypatch):
-    def fail(self, scenario):
+    def fail(self, result):
         raise OutOfTime
 
-    monkeypatch.setattr(made_worse.MadeWorse, "_fail", fail)
+    monkeypatch.setattr(made_worse.MadeWorse, "_failed_only", fail)
     found, _ = compared(EVEN, ODD)
     assert found.findings
     assert "of 0 random scenarios before the time ran out, " in found.summary.compared

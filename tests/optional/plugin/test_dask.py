@@ -104,7 +104,7 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
         os.kill(int(next(tmp_path.iterdir()).name), signal.SIGKILL)
         cluster.scale(2)
         answers += [pool.fetch(each) for each in scenarios[10:]]
-    assert [trace.scenario for trace, *_ in answers] == scenarios
+    assert [answer.value.value.scenario for answer in answers] == scenarios
     assert len(list(tmp_path.iterdir())) > 1
 
 
