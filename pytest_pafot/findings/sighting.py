@@ -88,7 +88,8 @@ class Which(StrEnum):
     # to the end of the file, because the process died past the end
     AS_SAVED_AGAIN = "as saved again"
     CONTINUED_AGAIN = "continued again"  # to confirm a failure past the end
-    # one of the runs that measure the rate: with another seed, or with the same one if the file is flaky
+    # One of the runs that measure the rate, which only files of policies that draw random numbers have: with another
+    # seed, or with the same one if the file is flaky.
     REPEATED = "repeated"
 
 

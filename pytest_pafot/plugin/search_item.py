@@ -237,7 +237,7 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Requ
     return checked_request(given, resolve(config, arguments))
 
 
-# Running an item: a search calls the test function for each simulated run, a replay calls it once.
+# Running an item: a search calls the test function for each simulated run, and a replay for each of its tries.
 
 
 class Execution:

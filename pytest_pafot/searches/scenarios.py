@@ -6,7 +6,7 @@ In a random search, each number has one of the states of `NumberState`. Only `Nu
        |                                                     |  |
        | next, in this process                               |  | its failure arrives before its turn
        v                                                     v  v
-     BACK  <---- _message, in the order of numbers ----  OUT or EARLY
+     BACK  <--- _messages, in the order of numbers ----  OUT or EARLY
 
 The numbers below `number` are `BACK`, those from `_given` on are `WAITING`, and all others are `OUT` or `EARLY`. If the
 process of a chunk dies, its numbers are run one by one, until it is known in which of them a process dies.

@@ -213,7 +213,7 @@ def search(
                 scenarios.count(step.runs)
                 yield from watch.after_event()
             case Result(ended="lost"):
-                # The pool has already tried it twice, so it is reported without a second run.
+                # The pool has already run it again, unless it hung, so it is reported without another run.
                 yield from record_death(step, state, store)
                 state.take(step)
                 happened = scenarios.take(step.evaluation)

@@ -348,7 +348,7 @@ def _remove_early(path: Path) -> None:
 
 
 def record_death(result: Result, state: State, store: Store) -> Iterator[SearchEvent]:
-    """Record a scenario in which a process was lost while findings were refined or policies compared."""
+    """Save a scenario in which a process was lost, unless its failure is known. ``State.take`` counts it."""
     # Before anything else, so that no later step runs it again.
     state.fatal.add(result.evaluation.scenario)
     failed = result.failed
