@@ -22,7 +22,7 @@ from itertools import filterfalse, islice
 from logging.handlers import QueueHandler
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Self, TypeAlias, assert_never
+from typing import Any, Protocol, Self, TypeAlias, assert_never
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import (
@@ -212,10 +212,33 @@ class Whole:
 
 Task: TypeAlias = Scenario | Whole  # a process answers a Scenario with the result of `Job.read`
 
-# A pool for tasks, which get one answer each, and for Chunks, whose processes send several Timed results.
-ScenarioPool: TypeAlias = WorkerPool[Any]
 
-Cluster: TypeAlias = Callable[[Any], Any]  # creates a pool of workers on other machines for a Job
+class ClusterPool(Protocol):
+    """Workers on other machines that run the scenarios of a job. After :meth:`close`, they can be used again."""
+
+    failure: str  # why no worker can be used any more, or empty
+    recovered: list[LostRun]  # deaths of workers in runs whose second attempt succeeded
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences for the summary of the session."""
+
+    def expect(self, tasks: Iterable[Task]) -> None:
+        """Forget all tasks, and announce these."""
+
+    def add_all(self, tasks: Iterable[Task]) -> None:
+        """Announce more tasks."""
+
+    def fetch(self, task: Task) -> Answer:
+        """Wait for the answer to a task, whether it was announced or not."""
+
+    def close(self, *, at_once: bool = False) -> None:
+        """Forget all tasks. ``at_once`` also ends those that run, where this is possible."""
+
+
+# A pool for tasks, which get one answer each. The processes of this machine also run Chunks, and send several Timed
+# results for each.
+ScenarioPool: TypeAlias = WorkerPool[Any] | ClusterPool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,18 +255,16 @@ class Job:
     owner: str
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()  # the folder of the project, whose modules are sent to other machines
-    read: Callable[[Trace], Any] | None = (
-        None  # returns the value that a process sends instead of a trace
-    )
+    # returns the value that a process sends instead of a trace
+    read: Callable[[Trace], Any] | None = None
     # Runs a chunk in a process, and passes each Timed result, or a RunItHere, to the last argument.
     drive: (
         Callable[[Chunk, Job, CrashRecord, Callable[[Timed | RunItHere], object]], None] | None
     ) = None
     simulate: Simulate = in_world
     remark: str = ""  # an addition to the note on the use of processes
-    reference: str = (
-        ""  # the name of the policy if it is the reference of a search; empty for the tested one
-    )
+    # the name of the policy if it is the reference of a search; empty for the tested one
+    reference: str = ""
 
     @property
     def patience(self) -> float:
@@ -264,6 +285,9 @@ class Job:
         return CrashRecord(self.records, self.owner, world=self.world_data, is_watched=is_watched)
 
 
+Cluster: TypeAlias = Callable[[Job], ClusterPool]
+
+
 def run_timed(make_job: Callable[[], Job], scenario: Scenario, simulate: Simulate) -> Timed:
     """Run a scenario of the job that ``make_job`` returns, and capture the output of both."""
     with capture_output() as output:
@@ -278,7 +302,7 @@ class ExecutionError(Exception):
     """An error for a run that needs another process, if no process can be started or used."""
 
 
-def pool_for(job: Job, size: int) -> ScenarioPool:
+def pool_for(job: Job, size: int) -> WorkerPool[Any]:
     """Return a pool of up to ``size`` processes that run the scenarios of a job.
 
     Raises:
@@ -685,7 +709,8 @@ class Apart(Here):
         if self._failure:
             return [f"{flag('workers')} is 1: {self._failure}"]
         if self.is_elsewhere and self._pool is not None:
-            return list(getattr(self._pool, "notes"))  # noqa: B009
+            assert not isinstance(self._pool, WorkerPool)  # noqa: S101  (it is the pool of the cluster)
+            return self._pool.notes
         # A death that a second process did not repeat is no finding, but may be a sign of too little memory.
         recoveries = [lost.recovery for lost in self.deaths]
         if self._is_only:

@@ -83,9 +83,8 @@ class Budget:
     clock: Callable[[], float] = monotonic  # returns the time [s]
     end: float = math.inf  # the time at which the work must end [s]
     most: float = math.inf  # the largest number of decisions that the work can request
-    asked: int = (
-        0  # the number of decisions that it has requested; the same for any number of processes
-    )
+    # the number of decisions that it has requested; the same for any number of processes
+    asked: int = 0
     is_at_limit: bool = False  # True if this number has reached its limit
 
     def check(self) -> None:
