@@ -162,7 +162,13 @@ class Bench:
     def died(self, death: LostRun) -> Result:
         """Return the result for a scenario in which a process died or hung."""
         __tracebackhide__ = True
-        if self.is_common(death.task):
+        try:
+            is_common = self.is_common(death.task)
+        except OutOfTime:
+            # The reference had no time to finish its run. The death counts, because nothing that was found may be lost.
+            self.record.clear()
+            is_common = False
+        if is_common:
             return common_death(death.task)
         return result_of_death(death, self.harness, self.examiner.seed)
 

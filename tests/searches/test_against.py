@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import os
 
 import pytest
 
@@ -10,8 +11,8 @@ from example_ads import constant_speed
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.searches import made_worse
-from pytest_pafot.searches.harness import same_policy
-from pytest_pafot.support.errors import RequestError
+from pytest_pafot.searches.harness import Harness, same_policy
+from pytest_pafot.support.errors import OutOfTime, RequestError
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.tables import table
 
@@ -32,6 +33,11 @@ class Counted:
     def __call__(self):
         self.runs += 1
         return CAREFUL()
+
+
+class Dies:
+    def __call__(self, observation):
+        os._exit(3)
 
 
 class Breaks:
@@ -170,3 +176,16 @@ def test_failure_is_common_if_the_reference_does_not_pass_and_invalid_if_its_run
 def test_what_is_no_factory_is_one_clear_error(against, message):
     with pytest.raises(RequestError, match=message):
         pafot.explore(constant_speed.make, against=against, holds=never_collides, **SHORT)
+
+
+@pytest.mark.processes
+def test_a_death_counts_if_the_reference_has_no_time_to_drive_its_scenario(monkeypatch):
+    def run_out(harness, reference, scenario):
+        raise OutOfTime
+
+    monkeypatch.setattr(Harness, "judge_reference", run_out)
+    found = pafot.explore(
+        Dies, against=made_again, holds=never_collides, isolate=True, runs=2, npcs=1, world=ROAD
+    )
+    assert found.summary.failing == 2
+    assert [each.expect.failure for each in found.findings] == ["ProcessCrash"]
