@@ -176,10 +176,11 @@ def a12_interval(estimate: float, first: int, second: int) -> tuple[float, float
     others = (first + second) / 2 - 1
 
     def excess(value: float) -> float:
-        spread = 1 + others * (1 - value) / (2 - value)
-        spread += others * value / (1 + value)
-        variance = value * (1 - value) * spread / (first * second)
-        return float((value - estimate) ** 2 - z**2 * variance)
+        spread = 1 + others * (1 - value) / (2 - value) + others * value / (1 + value)
+        # not split further, because another order of the factors changes the last digit of the root
+        return float(
+            (value - estimate) ** 2 - z**2 * value * (1 - value) * spread / (first * second)
+        )
 
     low = 0.0
     high = 1.0

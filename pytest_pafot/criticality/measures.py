@@ -412,16 +412,16 @@ def _lowest(values: FloatArray) -> float:
 class RssRules:
     """The parameters of RSS, with the default values of Intel's ad-rss-lib (appendix "Parameter Discussion")."""
 
-    # : rho of the ego, the response time, in which it may still accelerate [s]
+    #: rho of the ego, the response time, in which it may still accelerate [s]
     ego_response: float = 1.0
     npc_response: float = 2.0  #: rho of the NPCs [s]
     acceleration: float = 3.5  #: a_max,accel, the hardest acceleration in the response time [m/s^2]
-    # : a_min,brake, the least braking of a follower after its response time [m/s^2]
+    #: a_min,brake, the least braking of a follower after its response time [m/s^2]
     least_braking: float = 4.0
     hardest_braking: float = 8.0  #: a_max,brake, the hardest braking of a leader [m/s^2]
     #: a_lat,max,accel, the hardest sideways acceleration towards the other vehicle in the response time [m/s^2]
     lateral_acceleration: float = 0.2
-    # : a_lat,min,brake, the least sideways braking after the response time [m/s^2]
+    #: a_lat,min,brake, the least sideways braking after the response time [m/s^2]
     lateral_braking: float = 0.8
     fluctuation: float = 0.1  #: mu, the lateral margin [m]
 

@@ -12,7 +12,9 @@ if no process could run it. A process has one of the states of `WorkerState`::
       v                  v                   v
     DEAD               HUNG               (removed)
 
-`DEAD` and `HUNG` are final: the process is removed, and its task is lost or tried a second time.
+`DEAD` and `HUNG` are final: the process is removed, and its task is lost or tried a second time. If the process died
+before it was ready, no process can run the task, and the answer is `RunItHere`. A task that nobody waits for any more
+has no answer.
 """
 
 from __future__ import annotations
@@ -353,7 +355,8 @@ class WorkerPool(Generic[TaskT]):
             self._fail(task, self.failure)
             return
         try:
-            for idle in [each for each in self._workers if each.state is not WorkerState.BUSY][:1]:
+            free = (WorkerState.STARTED, WorkerState.IDLE)
+            for idle in [each for each in self._workers if each.state in free][:1]:
                 if idle.take(task, self.clock()):
                     return
                 self._remove(idle)  # It ended between two tasks, so no task is the cause.
@@ -577,6 +580,9 @@ class _Worker(Generic[TaskT]):
     def hear(self) -> Answer | Said | _Left | _Gone:
         try:
             heard: Answer | Said | _Left = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
+            # The user's code may have written into the pipe.
+            if not isinstance(heard, Done | Lost | RunItHere | Said | _Left):
+                raise TypeError(f"expected an answer, received {heard!r:.100}")
         except (EOFError, OSError):
             return _Gone()
         except Exception as error:  # noqa: BLE001  (unpickling the user's objects may raise anything)

@@ -437,8 +437,8 @@ class TimedInstruction(Instruction):
 
     __slots__ = ("code", "target", "text")
 
-    targets: ClassVar[Sequence[Any]]
     # All targets that a gene of this kind can have.
+    targets: ClassVar[Sequence[Any]]
     target: int | str
     code: float
     text: str

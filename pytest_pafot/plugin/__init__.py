@@ -219,7 +219,8 @@ def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
     ) -> Run:
         end = ""
         try:
-            run = drive_once(world or pafot_world, scenario, ads_factory)
+            asked = pafot_world if world is None else world
+            run = drive_once(asked, scenario, ads_factory)
         except ProcessLostError as lost:
             end = lost.advice
         if end:  # outside of the handler, so that the failure has no context

@@ -203,7 +203,11 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
         if paths:
             given[arg] = paths
         else:
-            others.append(path_of(config, arg).resolve())
+            others.append(arg)
+    # Paths are resolved only now, because this raises an error for a link to itself, which pytest reports better.
+    if not given:
+        return set(), set()
+    elsewhere = [path_of(config, arg).resolve() for arg in others]
     # not resolved: a link has its own item
     files = [path.parent.resolve() / path.name for paths in given.values() for path in paths]
     modules = dict.fromkeys(_module_of(file, config) for file in files)
@@ -211,11 +215,9 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
     added = [
         module
         for module in modules
-        if not any(each in (module, *module.parents) for each in others)
+        if not any(each in (module, *module.parents) for each in elsewhere)
     ]
-    if given:
-        rest = [arg for arg in config.args if arg not in given]
-        config.args[:] = [*rest, *map(str, added)]
+    config.args[:] = [*others, *map(str, added)]
     return set(files), set(added)
 
 

@@ -80,7 +80,8 @@ class Files:
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
-            problem = self._write(path, markdown(record, page=asked or ""), append)
+            file = self._config.invocation_params.dir / path
+            problem = self._write(path, file, markdown(record, page=asked or ""), append)
             if problem:
                 record.problems.append(f"{SUMMARY}={path}: the summary was not written: {problem}")
 
@@ -90,7 +91,7 @@ class Files:
 
         command = rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ)
         page, told = render_page(self._session, title=self._config.rootpath.name, command=command)
-        problem = self._write(target, page, write_whole)
+        problem = self._write(target, self._path_of(target), page, write_whole)
         if problem:
             name = flag("report", target)
             self._session.problems.append(f"{name}: the page was not written: {problem}")
@@ -109,7 +110,7 @@ class Files:
             return  # A stream keeps everything, so it receives only the final record.
         day = self._config.getoption(BY_NAME["today"].key)
         text = to_text(self._session, root=str(self._config.rootpath), day=day)
-        problem = self._write(self._json, text, write_whole)
+        problem = self._write(self._json, self._path_of(self._json), text, write_whole)
         # A session with a thousand findings would spend most of its time here, so the file is written less often. If
         # the session is killed, the last findings may be missing from the file, but they are in the corpus.
         took = monotonic() - began
@@ -124,9 +125,8 @@ class Files:
     def _path_of(self, name: str) -> Path:
         return Path(os.path.normpath(self._config.invocation_params.dir / name))
 
-    def _write(self, name: str, text: str, write: Callable[[Path, str], object]) -> str:
+    def _write(self, name: str, path: Path, text: str, write: Callable[[Path, str], object]) -> str:
         """Write a file. Return an empty string or, if that fails, the reason and a solution."""
-        path = self._path_of(name)
         link = link_below(self._config.rootpath, path.parent)
         # A link below the rootdir may come from a repository, and lead anywhere.
         if link is not None and not os.path.isabs(name):  # noqa: PTH117  (a text of the user)

@@ -189,9 +189,8 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
     if check.at_most is None:
         high = min(high, bounds[0] + reach)
     step = 10.0 ** math.floor(math.log10(high - low or 1.0) - 0.5)
-    low = math.floor(low / step) * step
-    high = max(math.ceil(high / step) * step, low + step)
-    return round(low, 12), round(high, 12)
+    most = max(math.ceil(high / step) * step, low + step)
+    return round(math.floor(low / step) * step, 12), round(most, 12)
 
 
 # Times that differ by less than this [s] count as equal in sentences about a check.

@@ -159,23 +159,24 @@ def skips() -> tuple[type[BaseException], ...]:
     """Return the exception classes that pytest reports as a skip or an xfail."""
     # The package does not import pytest here. Code that raises one of these exceptions has already imported its module.
     found: list[type[BaseException]] = []
-    if "pytest" in sys.modules:
+    # The value of a module that must not be imported is None.
+    if sys.modules.get("pytest") is not None:
         found += [sys.modules["pytest"].skip.Exception, *xfails()]
-    if "unittest" in sys.modules:
+    if sys.modules.get("unittest") is not None:
         found.append(sys.modules["unittest"].SkipTest)
     return tuple(found)
 
 
 def xfails() -> tuple[type[BaseException], ...]:
     """Return the exception class of ``pytest.xfail()``, or an empty tuple without pytest."""
-    if "pytest" not in sys.modules:
+    if sys.modules.get("pytest") is None:
         return ()
     return (sys.modules["pytest"].xfail.Exception,)
 
 
 def assertions() -> tuple[type[BaseException], ...]:
     """Return the exception classes that a violated property raises."""
-    if "pytest" not in sys.modules:
+    if sys.modules.get("pytest") is None:
         return (AssertionError,)
     return (AssertionError, sys.modules["pytest"].fail.Exception)
 

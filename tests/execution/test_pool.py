@@ -5,9 +5,11 @@ import faulthandler
 import gc
 import multiprocessing
 import os
+import pickle
 import select
 import signal
 import stat
+import struct
 import subprocess
 import sys
 import time
@@ -258,6 +260,19 @@ def test_process_that_writes_into_the_pipe_is_ended(pool_of):
         "wrote into the pipe to the session, by a descriptor that it did not open"
     )
     assert [*answers[:3], *answers[4:]] == [0, 1, 4, 16, 25]
+
+
+def test_an_object_of_others_in_the_pipe_is_no_answer(pool_of):
+    def scribble(number):
+        said = pickle.dumps(5)
+        for descriptor in range(3, 256) if number == 3 else ():
+            with contextlib.suppress(OSError):
+                if stat.S_ISSOCK(os.fstat(descriptor).st_mode):
+                    os.write(descriptor, struct.pack("!i", len(said)) + said)
+
+    answer = pool_of(scribble).fetch(3)
+    assert isinstance(answer, RunItHere)
+    assert isinstance(answer.error, RuntimeError)
 
 
 @pytest.mark.parametrize("is_killed", [True, False])

@@ -19,10 +19,14 @@ def test_takes_another_world(pafot_simulate):
     run = pafot_simulate(SCENARIO, lambda: lambda observation: (0.0, 0.0), world=pafot.Highway(lanes=3, duration=1.0))
     assert (len(run.trace.lanes), run.duration) == (3, 1.0)
 
+def test_takes_no_world_that_is_none(pafot_simulate):
+    with pytest.raises(ValueError, match="pafot.Highway"):
+        pafot_simulate(SCENARIO, lambda: lambda observation: (0.0, 0.0), world={})
+
 def test_fails(pafot_simulate):
     assert not pafot_simulate(SCENARIO, lambda: broken).collision
 """)
-    project.run().assert_outcomes(passed=2, failed=1)
+    project.run().assert_outcomes(passed=3, failed=1)
 
 
 @pytest.mark.processes

@@ -53,6 +53,8 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     failing.run(folder / "l-0.pafot.yaml").assert_outcomes(failed=1)
     # it leads to itself
     assert failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR
+    (failing.path / "round").symlink_to("round")
+    assert failing.run("round").ret == pytest.ExitCode.USAGE_ERROR
 
 
 def test_overlong_links_and_names_do_not_end_session(failing):

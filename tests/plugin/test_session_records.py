@@ -262,6 +262,13 @@ def test_the_summary_of_a_job_is_appended_to_if_it_can_be_written(summary, faili
     assert summary.read_text().startswith("before\n### pafot: 1 new\n")
     assert f"<br>`python -m pytest {failing.files[0]}`\n" in summary.read_text()
     failing.forget()
+    # as the operating system reads the path, which `..` after a link leads elsewhere
+    (failing.path / "other" / "inner").mkdir(parents=True)
+    (failing.path / "link").symlink_to("other/inner")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(failing.path / "link" / ".." / "summary.md"))
+    failing.run()
+    assert (failing.path / "other" / "summary.md").exists()
+    failing.forget()
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(failing.path / "none" / "summary.md"))
     (failing.path / "taken").mkdir()
     result = failing.run("--pafot-json=taken")

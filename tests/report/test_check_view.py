@@ -66,6 +66,7 @@ def test_curve_has_worst_value_between_two_frames_and_intervals_in_which_bound_i
     (peaks(t9=35, t10=-500), {"at_most": 20}, (-40, 40), (True, False)),
     (peaks(t9=35, t10=-500), {"at_most": 20, "at_least": -30}, (-500, 100), (False, False)),
     (peaks(t9=np.nan), {"at_most": 20}, (1, 20), (False, False)),
+    (np.full_like(peaks(t9=0), np.nan), {"at_most": 0.35}, (0.3, 0.45), (False, False)),
 ])  # fmt: skip
 def test_check_curve_axis_covers_values_that_break_bound(values, bounds, axis, is_cut):
     check = shown(values, **bounds).check
