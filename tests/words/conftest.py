@@ -56,6 +56,13 @@ def normal(text: str, folders: Path) -> str:
     return text
 
 
+@pytest.fixture(autouse=True)
+def outside_of_ci(monkeypatch):
+    """Let sessions end as on a user's machine: pytest does not shorten its summary in CI."""
+    for name in ("CI", "BUILD_NUMBER"):
+        monkeypatch.delenv(name, raising=False)
+
+
 @pytest.fixture
 def snapshot(snapshot, tmp_path_factory):
     """Return the snapshot of this test, with which strings and exceptions are compared in their normal form."""
