@@ -224,6 +224,7 @@ class WorkerPool(Generic[TaskT]):
     def expect(self, tasks: Iterable[TaskT]) -> None:
         """Start these tasks in order, and drop earlier tasks whose answers were not fetched."""
         self._forget()
+        # An answer to an earlier announcement must not serve a new one with the same task.
         self._answers, self._suspects = {}, {}
         self.add_all(tasks)
 
@@ -412,6 +413,7 @@ class WorkerPool(Generic[TaskT]):
         # The process is checked before the pipe is read. If it has ended, its last answer is in the pipe by then.
         if worker.state is not WorkerState.BUSY:
             return
+        # A process that is found alive here may die before the pipe is read. The next check then finds it.
         is_gone = not worker.process.is_alive()
         task = worker.task
         if is_heard or worker.connection.poll():
@@ -452,10 +454,13 @@ class WorkerPool(Generic[TaskT]):
 
     def _has_left(self, task: TaskT, worker: _Worker[TaskT], left: _Left) -> None:
         self.left(left.said)
+        # The pool interrupts tasks only in `close`, which reads the last messages itself. Somebody else ended this
+        # process.
         if left.in_task:
             self._lose(worker, WorkerState.DEAD, ending(-signal.SIGTERM))
             return
         self._remove(worker)
+        # The process ended between two tasks, while this one was on its way.
         if task in self._wanted:
             self._give(task)
 
@@ -540,6 +545,7 @@ class _Worker(Generic[TaskT]):
 
     def take(self, task: TaskT, now: float) -> bool:
         # The result is False if the process has ended.
+        # A process that has not begun cannot answer a signal, so the time for its start counts as silence.
         self._asked_at = None
         if not self.has_begun:
             self._asked_at = now
@@ -596,12 +602,14 @@ class _Worker(Generic[TaskT]):
 
     def silence(self, now: float) -> float:
         # The time [s] for which the process has not answered a signal.
+        # Each signal that the process answers adds one to the beats.
         if self._beats.value != self._heard:
             self._heard, self._asked_at = self._beats.value, None
         if self._asked_at is not None:
             return now - self._asked_at
         if hasattr(signal, "SIGUSR2"):
             self._asked_at = now
+            # If the process has ended, the next check of the pool finds it.
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGUSR2)
         return 0.0
@@ -624,6 +632,7 @@ class _Gone:
 def ending(code: int | None) -> str:
     """Describe how a process with this exit code ended, for example ``was ended by SIGKILL``."""
     if code is not None and code < 0:
+        # A number that is no signal of this platform is described as an exit code.
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"
     return f"ended with exit code {code}"
@@ -638,6 +647,7 @@ def _end_children(pid: int) -> list[int]:
             for child in map(int, listed.read_text("utf-8").split()):
                 ended += [*_end_children(child), child]
                 with suppress(OSError):
+                    # A child that leads a process group, such as a shell, is killed together with its group.
                     if os.getpgid(child) == child:
                         os.killpg(child, signal.SIGKILL)
                     else:

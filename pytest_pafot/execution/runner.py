@@ -101,6 +101,7 @@ def capture_output() -> Iterator[CapturedOutput]:
     """Capture the output of the ``with`` block. The output is complete when the block ends."""
     captured, out, err = CapturedOutput(), _Stream(), _Stream()
     root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
+    # The handlers are replaced, because pytest's would otherwise report each record here and when it is repeated.
     handlers, root.handlers = root.handlers, [QueueHandler(queue)]
 
     def note(ended: threading.ExceptHookArgs) -> None:
@@ -109,6 +110,7 @@ def capture_output() -> Iterator[CapturedOutput]:
         )
         captured.threads.append((ended.thread.name if ended.thread else "", text))
 
+    # An error in a thread never reaches the caller of this block, so only the hook can keep it.
     hook, threading.excepthook = threading.excepthook, note
     try:
         with (
@@ -608,6 +610,7 @@ class Apart(Here):
 
     def once_by(self, scenario: Scenario, drive: RunScenario) -> Any:
         __tracebackhide__ = True
+        # Without isolation, the policy may run in this process, which has the function already.
         if not self._is_only:
             return super().once_by(scenario, drive)
         # Only a process that is forked now has the function. Its death counts even if a second process survives.
@@ -700,6 +703,7 @@ class Apart(Here):
         # The first runs of a search decide whether processes pay off, see _learn.
         started = self._clock()
         trace = super()._run(scenario, most=most)
+        # The duration of a run that raised an error in a worker says nothing about the others.
         if isinstance(why, NotStarted):
             self._learn(self._clock() - started)
         return trace
@@ -707,6 +711,7 @@ class Apart(Here):
     @property
     def notes(self) -> list[str]:
         if self._failure:
+            # No process could be started, so the search ran here, although other processes were asked for.
             return [f"{flag('workers')} is 1: {self._failure}"]
         if self.is_elsewhere and self._pool is not None:
             assert not isinstance(self._pool, WorkerPool)  # noqa: S101  (it is the pool of the cluster)
@@ -748,6 +753,7 @@ class Apart(Here):
         # A cluster's workers cannot report single runs of a chunk.
         if not isinstance(self._pool, WorkerPool) or self._pool.failure:
             return False
+        # The results of a chunk arrive one by one, as messages before the answer.
         self._pool.follow(task)
         self._drives = True
         return True
@@ -808,6 +814,7 @@ class Apart(Here):
             and not is_dear
             and not self._drives
         ):
+            # Only the first run was slow, so other processes do not pay off.
             self._pool.close(at_once=True)
             self._pool = None
             self._runs_before = 0
@@ -852,6 +859,7 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
             trace: Trace = runner.once_by(scenario, drive)
         else:
             trace = runner.once(scenario)
+    # A run that succeeded only in a second process counts as a death, too, because the ADS may have caused the first.
     for death in runner.deaths:
         raise death
     return trace

@@ -135,6 +135,7 @@ def headline(run: Run, verdict: Verdict) -> str:
     line = collision_in_short(run) or run.explain().splitlines()[0]
     if failure is None:
         return line
+    # After an exception, the end of the run says nothing that the exception does not.
     if verdict.is_ads:
         return f"{failure.kind}: {failure.message}"
     if failure.check is not None:
@@ -261,12 +262,14 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
         or isinstance(verdict.exception, assertions())
     ):
         return None
+    # The place of an error of the test function is the line of that function.
     if not verdict.is_ads:
         return failure.kind, failure.assertion
     error = run.ads_error
     # After the first decision, or if the ADS hangs, the cause can be the scenario or the machine.
     if error is None or error.tick > 0 or error.interrupted:
         return None
+    # The innermost frame is the place. Messages can differ from run to run, and are not compared.
     places = [line for line in error.traceback.splitlines() if "File " in line]
     return error.kind, places[-1] if places else ""
 
@@ -360,11 +363,13 @@ def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
     """Return an error message if two factories make the same policy, or an empty string."""
     # They do if they have the same perception, name and arguments, and if all their source files have the same content.
     # All files count, because a copy of one module still imports the other modules of the present policy.
+    # The same policy behind a different perception decides differently.
     if sight_of(ads) != sight_of(other):
         return ""
     ads, other = (each.ads if isinstance(each, Perception) else each for each in (ads, other))
     if ads is not other:
         parts = [_parts(each) for each in (ads, other)]
+        # Factories without a name, such as lambdas, may differ in what they have captured.
         if None in parts or parts[0] != parts[1]:
             return ""
         files, others = source_files(ads), source_files(other)

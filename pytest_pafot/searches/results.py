@@ -100,6 +100,7 @@ class Result:
         # Only then does the failure count as one of the new policy.
         if reference.passes:
             return replace(self, broken=broken)
+        # The reference fails, too, so this is no evidence against the tested policy, and no file is made of it.
         evaluation = replace(self.evaluation, failing=False, kind=None)
         kind = "invalid" if reference.kind == "invalid" else "common"
         return replace(self, evaluation=evaluation, kind=kind, failed=None, broken=broken)
@@ -137,6 +138,7 @@ class Examiner:
             note=None if self.note is None else self.note(run, verdict),
         )
         caught = set[str]()
+        # In a run that failed, the failed checks are part of the failure.
         if verdict.kind == "passed":
             caught = {each.name for each in verdict.checks if not each.holds}
         return Result(
@@ -195,6 +197,7 @@ def _how_it_fails(run: Run, verdict: Verdict) -> Fails:
     # If the ADS raised an exception or hung, that is the failure, even if a collision followed.
     if run.responsibility in ("ego", "both") and not verdict.is_ads:
         return "ego"
+    # What remains is a failed assertion, or an exception.
     return "check" if verdict.is_check else "otherwise"
 
 
@@ -340,6 +343,7 @@ class Counts:
             counts.failures[evaluation.kind] = Alike(
                 runs=1, number=number, severity=result.severity, least=result.severity
             )
+        # Runs that passed have no cause, and then not all runs are alike.
         if result.cause is not None:
             counts.causes[result.cause] = 1
         counts.caught.update(result.caught)
@@ -423,6 +427,7 @@ class Driver:
     ) -> Timed | RunItHere:
         assert self.drawn is not None  # noqa: S101  (as above)
         scenario = self.drawn(number)
+        # The session has noted a death in this scenario, and must not lose a second process to it.
         if scenario in chunk.fatal:
             return RunItHere(LookupError("a process died in this scenario before"))
         try:
